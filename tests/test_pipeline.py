@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pipeline_runs import VEHICLE, assert_same, has_no_numbers, plain_run, results_of, scene, scene_row, statuses, table
 
-from ttcvid.model import Frame, FrameStatus, PointSet, Status
+from ttcvid.model import NO_CLUSTER, Frame, FrameStatus, PointSet, Status
 from ttcvid.pipeline import analyze_frames
 from ttcvid.simulate import build_world
+from ttcvid.stages import analyzed_frames
 
 # --- what is true ---------------------------------------------------------------------------------------------------
 
@@ -226,3 +227,18 @@ def test_a_cut_restarts_everything_and_numbers_go_on():
         np.testing.assert_array_equal(one.tracks.n_frames, other.tracks.n_frames)
         if one.rotation_rad is not None:
             np.testing.assert_allclose(other.rotation_rad, one.rotation_rad, atol=1e-12)
+
+
+def test_what_is_left_of_an_object_is_not_among_the_results(monkeypatch):
+    """As if a surface needed 1000 tracks, an object without times is none, and its tracks are of none."""
+
+    def have_times(results):
+        return [row.state_abc_hz is not None for result in results for row in result.clusters if row.role == "object"]
+
+    as_they_are = have_times(plain_run("roundabout"))
+    monkeypatch.setattr(analyzed_frames, "LEAST_TRACKS", 1000)
+    found = results_of(*table("roundabout"))
+    assert not all(as_they_are)
+    assert have_times(found) == [True] * sum(as_they_are)
+    for result in found:
+        assert set(result.tracks.cluster_id.tolist()) <= {NO_CLUSTER, *(row.cluster_id for row in result.clusters)}

@@ -20,7 +20,6 @@ from ttcvid.stages.objects.clusters import (
     with_epipole_pixels,
     with_times,
 )
-from ttcvid.stages.objects.constant_bearing import neighbours_in_cluster
 from ttcvid.stages.objects.paper_track_states import two_frame_states
 from ttcvid.stages.tracking.groups import TrackSets
 
@@ -338,14 +337,6 @@ def test_rows_without_a_state_pass_through():
     assert with_times([row], CAMERA) == [row]
     assert with_times([], CAMERA) == []
     assert ranked([]) == []
-
-
-def test_neighbours_are_the_nearest_of_the_same_cluster():
-    xy_px = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.5, 0.0], [50.0, 0.0], [52.0, 0.0]])
-    cluster = np.array([1, 1, 1, 2, 1, 2])
-    found = neighbours_in_cluster(xy_px, cluster, np.isin(np.arange(len(xy_px)), [0, 3, 5]), 3, 10.0)
-    assert found.shape == (6, 3)
-    assert [set(row[row >= 0].tolist()) for row in found] == [{0, 1, 2}, set(), set(), {3}, set(), {5}]
 
 
 @pytest.mark.parametrize("off_deg", [0.05, 20.0])

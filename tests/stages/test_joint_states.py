@@ -72,6 +72,32 @@ def test_a_track_timed_by_expansion_does_not_make_an_object_surer_of_the_path_of
     assert 0.9 * expected < sigma < 1.1 * expected
 
 
+@pytest.mark.parametrize(("count", "depth"), [(8, 0.2), (5, 0.3)])
+def test_tracks_known_better_than_they_agree_have_a_surface_that_may_be_as_near_as_its_nearest(count, depth):
+    """A cyclist near by: each track is known to a thousandth, and he is a part of his distance deep."""
+    states, own = states_on_one_path(), 1e-3 * RATE_HZ
+    rate_hz = RATE_HZ * np.linspace(1.0 - 0.5 * depth, 1.0 + 0.5 * depth, count)
+    shared = replace(states.shared, rate_variance=np.full(N, own**2), cov=np.zeros((1, N_SHARED, N_SHARED)))
+    shared.rate_hz[:count] = rate_hz
+    states = replace(states, shared=shared)
+    states.abc_hz[:count] = rate_hz[:, None] * AHEAD
+    states.cov[:, 2, 2] = own**2
+    members, xy_px = TrackSets.of([np.arange(count)]), FOCAL_PX * states.xy
+    joint = joint_states(members, AHEAD[None], np.array([False]), states, xy_px, LINK_PX)
+    (found_hz,), (sigma_hz,) = -joint.abc_hz[:, 2], np.sqrt(joint.cov[:, 2, 2])
+    assert found_hz >= RATE_HZ
+    assert found_hz + sigma_hz == pytest.approx(rate_hz[-1], rel=0.01)
+
+
+def test_three_tracks_in_our_way_are_as_sure_as_they_are():
+    """What is found as one surface has the times of all of its tracks, and no relief that was looked for in vain."""
+    states = states_on_one_path()
+    members, xy_px = TrackSets.of([np.arange(3)]), FOCAL_PX * states.xy
+    joint = joint_states(members, AHEAD[None], np.array([True]), states, xy_px, LINK_PX)
+    own = np.sqrt(1.35 / 3.0) * OWN_PART
+    assert np.sqrt(joint.cov[0, 2, 2]) / RATE_HZ == pytest.approx(np.hypot(SHARED_PART, own), rel=0.01)
+
+
 @pytest.mark.parametrize(("count", "independent"), [(6, 1.0), (40, 40 / 8)])
 def test_tracks_timed_by_expansion_err_with_their_neighbours(count, independent):
     states = without_path(states_on_one_path(), np.arange(N))

@@ -87,6 +87,13 @@ def test_points_far_outside_the_picture_cost_no_memory_and_change_nothing():
     assert set(map(tuple, pairs.tolist())) == KDTree(xy).query_pairs(30.0)
 
 
+def test_neighbours_are_of_the_same_cluster_and_a_point_without_enough_has_itself():
+    xy_px = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.5, 0.0], [50.0, 0.0], [52.0, 0.0]])
+    cluster = np.array([1, 1, 1, 2, 1, 2])
+    found = nearest_neighbours(xy_px, 2, 10.0, np.isin(np.arange(len(xy_px)), [0, 3, 5]), cluster)
+    assert [set(found[place].tolist()) for place in (0, 3, 5)] == [{1, 2}, {3}, {5}]
+
+
 def test_points_exactly_a_radius_apart_are_no_neighbours():
     xy = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 3.9]])
     assert linked_pairs(xy, 5.0).tolist() == [[0, 2], [1, 2]]

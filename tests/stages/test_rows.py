@@ -7,7 +7,8 @@ import pytest
 from relative_motion import CAMERA, box_of_points, history_of, pixels, unit
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.model import NO_CLUSTER, MotionState, Status
+from ttcvid.model import NO_CLUSTER, MotionState, Platform, Status
+from ttcvid.stages.analyzed_frames import without_remnants
 from ttcvid.stages.objects.clusters import ClusterMotion
 from ttcvid.stages.objects.motions import FrameMotions
 from ttcvid.stages.rows import cluster_rows, no_tracks, track_rows
@@ -172,3 +173,57 @@ def test_a_frame_without_tracks_has_empty_rows():
     rows = no_tracks()
     assert len(rows.track_id) == len(rows.times.tcpa_s) == len(rows.status) == 0
     assert rows.xy_px.shape == (0, 2)
+
+
+def row_of_a_thing_straight_ahead(seed, size_m, distance_m, time_s, sigma_px):
+    """The row of a thing that heads for us, flat, with 14 tracks."""
+    rng, n = np.random.default_rng(seed), 14
+    position_m = box_of_points(rng, n, (0.3, 0.0, distance_m), (*size_m, 0.0))
+    e = unit([-0.3, 0.0, -distance_m])
+    history = history_of(position_m, distance_m / time_s * e, 0.05 * np.arange(15), sigma_px=sigma_px, rng=rng)
+    thing = ClusterMotion(1, np.arange(n), e, 1e-3 * (np.eye(3) - np.outer(e, e)), Status.ok, "whole-tracks")
+    motions = FrameMotions(np.ones(n, np.int64), np.zeros(n, np.int64), (thing,), 60.0, np.ones(n, dtype=bool))
+    states, _ = track_rows(history, motions, MULTI_FRAME)
+    (row,), _ = cluster_rows(history, motions, states, CAMERA, {})
+    return row
+
+
+@pytest.mark.parametrize(
+    ("size_m", "distance_m", "time_s", "sigma_px"),
+    [((0.5, 1.6), 40.0, 4.0, 0.2), ((0.5, 1.6), 40.0, 4.0, 0.5), ((1.7, 1.2), 50.0, 7.0, 0.5)],
+    ids=["walker", "walker, noisy", "car, noisy and far"],
+)
+def test_what_heads_for_us_has_times_that_are_neither_too_short_nor_too_sure(size_m, distance_m, time_s, sigma_px):
+    """A turn of a third of a degree per second moves its epipole by more than it is high; it hardly changes its growth.
+
+    Of its tracks none may be surely nearing by itself, and those that seem to are those that noise has brought nearer.
+    """
+    rows = [row_of_a_thing_straight_ahead(seed, size_m, distance_m, time_s, sigma_px) for seed in range(40)]
+    rows = [row for row in rows if row.status == Status.ok]
+    assert len(rows) >= 34
+    latest_hz, soonest_hz = (
+        1.0 / np.array([getattr(row.times, f"ttc_z_{end}_s")[0] for row in rows]) for end in ("hi", "lo")
+    )
+    assert np.mean((latest_hz < 1.0 / time_s) & (soonest_hz > 1.0 / time_s)) >= 0.75
+    assert np.median([time_s / row.times.ttc_z_s[0] for row in rows]) == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.parametrize(
+    ("n_tracks", "has_state", "platform", "is_told"),
+    [
+        (4, False, Platform.vehicle, False),
+        (5, False, Platform.vehicle, True),
+        (4, True, Platform.vehicle, True),
+        (4, False, Platform.static, True),
+    ],
+)
+def test_what_is_left_of_an_object_is_none(frame, n_tracks, has_state, platform, is_told):
+    """Without times, and with fewer tracks than a surface needs."""
+    history, motions, *_ = frame
+    states, tracks = track_rows(history, motions, MULTI_FRAME)
+    (scene, car), _ = cluster_rows(history, motions, states, CAMERA, {})
+    car = car.changed(n_tracks=n_tracks, state_abc_hz=car.state_abc_hz if has_state else None)
+    told, clusters = without_remnants(tracks, (scene, car), platform)
+    assert clusters == ((scene, car) if is_told else (scene,))
+    expected = tracks.cluster_id if is_told else np.where(tracks.cluster_id == 4, NO_CLUSTER, tracks.cluster_id)
+    np.testing.assert_array_equal(told.cluster_id, expected)

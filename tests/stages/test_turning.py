@@ -5,7 +5,7 @@ import pytest
 from scipy.special import chdtri
 
 from ttcvid.config import CollisionTimesConfig
-from ttcvid.geometry.rotation import normalize, rotation_from_vector, tangent_basis
+from ttcvid.geometry.rotation import normalize, rotation_from_vector, skew, tangent_basis
 from ttcvid.stages.objects.turning import believed_straight, straight_or_in_bend
 
 T_S = 0.05 * np.arange(-12.0, 1.0)
@@ -125,7 +125,11 @@ def test_what_is_said_of_a_direction_holds_for_what_turns_as_well(turn_rad_s):
         xy = views_on_a_circle(middle_m, velocity_m_s, own_m_s, turn_rad_s, half_size_m, SIGMA_NORM, 30, seed)
         found = fitted(xy, direction=found_before)
         across = tangent_basis(normalize(velocity_m_s)[None])[0]
-        off, cov = across.T @ found.direction[0], across.T @ found.direction_cov[0] @ across
+        # Its middle moves as its points do, turned back, and by the turn about the camera.
+        middle = middle_m / np.linalg.norm(velocity_m_s)
+        by_shared = across.T @ np.hstack([np.eye(3), np.zeros((3, 3)), -skew(middle[None])[0]])
+        off = across.T @ (found.direction[0] + np.cross(found.turn_rad_s[0], middle))
+        cov = by_shared @ found.cov[0, :9, :9] @ by_shared.T
         holds.append(off @ np.linalg.solve(cov, off) < chdtri(2, 0.1))
     assert np.mean(holds) >= 0.35
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
-from ttcvid.model import ClusterRow, FrameResult, FrameStatus, Platform, TrackRows
+import numpy as np
+
+from ttcvid.model import NO_CLUSTER, ClusterRow, CollisionTimes, FrameResult, FrameStatus, Platform, Status, TrackRows
 from ttcvid.stages.objects.consistency import PastStates
+from ttcvid.stages.objects.nearest_surface import LEAST_TRACKS
 from ttcvid.stages.objects.reached_first import Since, nearest_object
 from ttcvid.stages.rows import cluster_rows, no_tracks, track_rows
 from ttcvid.stages.smoothing import Seen, are_enough, seen_again
@@ -54,6 +57,7 @@ def analyze_seen(item: SeenFrame, memory: RowMemory, clip: Clip) -> tuple[FrameR
     if seen.egomotion is not None:
         own = seen.egomotion
         result = replace(result, rotation_rad=own.rotation_rad, rotation_sigma_rad=own.rotation_sigma_rad)
+    tracks, clusters = without_remnants(tracks, clusters, platform)
     result = replace(result, tracks=tracks, clusters=clusters, nearest=nearest, events=events)
     return result, RowMemory(watch, since, states)
 
@@ -94,6 +98,7 @@ def _estimated_again(
     if later:
         seen = seen_again(item.seen, later, clip.camera, clip.config)
         tracks, clusters, states = _rows(seen, clip, states)
+        tracks, clusters = without_remnants(tracks, clusters, clip.config.egomotion.platform)
     nearest, since = nearest_object(memory.since, item.result.t_s, clusters, clip.config)
     result = replace(item.result, tracks=tracks, clusters=clusters, nearest=nearest)
     return replace(item, result=result), RowMemory(since=since, states=states)
@@ -103,3 +108,27 @@ def _rows(seen: Seen, clip: Clip, past: PastStates) -> tuple[TrackRows, tuple[Cl
     """Rows of tracks and clusters, and the states of objects seen so far."""
     states, tracks = track_rows(seen.history, seen.motions, clip.config.collision_times, seen.plane)
     return tracks, *cluster_rows(seen.history, seen.motions, states, clip.camera, past)
+
+
+def without_remnants(
+    tracks: TrackRows, clusters: tuple[ClusterRow, ...], platform: Platform
+) -> tuple[TrackRows, tuple[ClusterRow, ...]]:
+    """Both without objects that have no times and fewer tracks than a surface needs; their tracks have no value.
+
+    Most of them are what is left of an object, or never were one. Before a camera at rest few tracks make a mover.
+    """
+    if platform == Platform.static:
+        return tracks, clusters
+    told = [
+        one for one in clusters if one.role == "scene" or one.state_abc_hz is not None or one.n_tracks >= LEAST_TRACKS
+    ]
+    is_left = ~np.isin(tracks.cluster_id, [NO_CLUSTER, *(one.cluster_id for one in told)])
+    times = (np.where(is_left, np.nan, getattr(tracks.times, field.name)) for field in fields(CollisionTimes))
+    tracks = replace(
+        tracks,
+        cluster_id=np.where(is_left, NO_CLUSTER, tracks.cluster_id),
+        alpha_rad=np.where(is_left, np.nan, tracks.alpha_rad),
+        times=CollisionTimes(*times),
+        status=np.where(is_left, Status.no_epipole, tracks.status),
+    )
+    return tracks, tuple(told)

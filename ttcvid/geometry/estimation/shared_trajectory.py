@@ -78,16 +78,14 @@ class SharedPaths:
     """K paths as all their points see them: ``path (K, L, 3)``, ``direction (K, 3)`` = dir at time 0.
 
     A path is NaN at views that it is not told for. ``offset (K, 12)`` the shared unknowns, from the belief on, with
-    ``cov (K, 12, 12)``. ``direction_cov (K, 3, 3)`` in rad^2 is that of the middle of what turns itself. What is left
-    in all views: the ``squares (K,)`` of the residuals in sigmas, each no larger than a robust fit counts it, and the
-    ``median_chi2 (K,)`` by the degree of freedom; 0 where nothing was fitted.
+    ``cov (K, 12, 12)``. What is left in all views: the ``squares (K,)`` of the residuals in sigmas, each no larger than
+    a robust fit counts it, and the ``median_chi2 (K,)`` by the degree of freedom; 0 where nothing was fitted.
     """
 
     path: Floats
     direction: Floats
     offset: Floats
     cov: Floats
-    direction_cov: Floats
     squares: Floats
     median_chi2: Floats
 
@@ -124,15 +122,8 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
     cov[:, 3:6, 3:6] = beliefs.bend_cov()
     cov[:, 6:9, 6:9] = beliefs.turn_sigma_rad_s**2 * np.eye(3)
     cov[:, 9:, 9:] = beliefs.change_sigma_hz2**2 * np.eye(3)
-    return SharedPaths(
-        beliefs.base,
-        beliefs.direction,
-        np.zeros((count, N_SHARED)),
-        cov,
-        cov[:, :3, :3],
-        np.zeros(count),
-        np.zeros(count),
-    )
+    offset, left = np.zeros((count, N_SHARED)), np.zeros(count)
+    return SharedPaths(beliefs.base, beliefs.direction, offset, cov, left, left)
 
 
 @dataclass(frozen=True)
@@ -141,14 +132,12 @@ class PathFits:
 
     Both are said of what the points of a path share, in its own axes ``basis (K, 3, 3)``: ``believed (K, 11, 11)`` is
     the information of the beliefs; ``information (K, 11, 11)`` and ``score (K, 11)`` are those of the views, at
-    ``offset (K, 11)`` from the belief. ``own_motion (K, 11, 11)`` is that of `_own_motion`, ``left (K, 2)`` that of
-    `descend_together`.
+    ``offset (K, 11)`` from the belief. ``left (K, 2)`` is that of `descend_together`.
     """
 
     beliefs: PathBeliefs
     t_s: Floats
     basis: Floats
-    own_motion: Floats
     believed: Floats
     offset: Floats
     information: Floats
@@ -184,14 +173,11 @@ class PathFits:
         # Directions and bends are over the speed.
         columns[:, :6] /= speed[:, None, None]
         columns[:, 9:] /= speed[:, None, None]
-        # Of the middle of what turns itself.
         direction = (self.beliefs.direction + offset[:, :3]) / speed[:, None]
-        across = np.eye(3) - direction[:, :, None] * direction[:, None]
-        own = across @ columns[:, :3, _U] @ self.own_motion[:, _U]
         offset[:, :6] /= speed[:, None]
         offset[:, 9:] /= speed[:, None]
-        cov_of = (columns @ cov @ columns.transpose(0, 2, 1), own @ cov @ own.transpose(0, 2, 1))
-        return SharedPaths(path, direction, offset, *cov_of, self.left[:, 0], self.left[:, 1])
+        cov = columns @ cov @ columns.transpose(0, 2, 1)
+        return SharedPaths(path, direction, offset, cov, self.left[:, 0], self.left[:, 1])
 
 
 def fit_paths(
@@ -225,7 +211,7 @@ def fit_paths(
     information, score = np.zeros((count, N_LOCAL, N_LOCAL)), np.zeros((count, N_LOCAL))
     add_windows(points.views(views), path, basis, n_used, rates.state, information, score)
     information += np.tril(information, -1).transpose(0, 2, 1)
-    return PathFits(beliefs, t_s, basis, own_motion, believed, offset, information, score, left)
+    return PathFits(beliefs, t_s, basis, believed, offset, information, score, left)
 
 
 def turned_back(xy: Floats, t_s: Floats, turn_rad_s: Floats, path_of: Ints) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ttcvid.geometry.estimation.turning_points import Views, fit_turning_points, trajectory
 from ttcvid.geometry.medians import median
-from ttcvid.geometry.rotation import cross, normalize
+from ttcvid.geometry.rotation import cross
 from ttcvid.model import Floats
 
 # Vehicles in junctions turn by up to 0.5 rad/s (6 m/s on a circle of 12 m); half of the time by less than 0.2.
@@ -56,13 +56,6 @@ class TurningBody:
     def shared(self) -> Floats:
         """The unknowns in one: (9,)."""
         return np.concatenate([self.velocity_hz, self.acceleration_hz2, self.turn_rad_s])
-
-    @property
-    def direction_cov(self) -> Floats:
-        """Covariance (3, 3) of the direction in which the middle moves, rad^2."""
-        along = normalize(self.velocity_hz[None])[0]
-        across = np.eye(3) - np.outer(along, along)
-        return np.asarray(across @ self.cov[:3, :3] @ across / max(float(np.sum(self.velocity_hz**2)), 1e-12))
 
     def path_turned_back(self, t_s: Floats) -> Floats:
         """Path ``(L, 3)`` of its points in views turned back by the turn; its derivative at time 0 is a unit vector."""
@@ -111,7 +104,9 @@ def fit_turning_body(
     is_seen = np.isfinite(xy[..., 0]).any(axis=1)
     xy, t_s = xy[is_seen], t_s[is_seen]
     now = int(np.argmin(np.abs(t_s)))
-    place = _places_now(xy, now)
+    # Where each point is seen then, or in the view that is nearest to that.
+    order = np.argsort(np.abs(np.arange(len(xy)) - now), kind="stable")
+    place = xy[order][np.isfinite(xy[order, :, 0]).argmax(axis=0), np.arange(xy.shape[1])]
     views = (
         np.ascontiguousarray(xy),
         np.ascontiguousarray(t_s, dtype=np.float64),
@@ -143,13 +138,6 @@ def _starts(xy: Floats, t_s: Floats, now: int) -> list[Floats]:
     seen = flow[np.isfinite(flow[..., 0])]
     velocity_hz = np.array([*map(median, seen.T), 0.0] if len(seen) else [0.0, 0.0, 0.0])
     return [np.concatenate([velocity_hz, np.zeros(3), [0.0, turn, 0.0]]) for turn in _FIRST_TURNS_RAD_S]
-
-
-def _places_now(xy: Floats, now: int) -> Floats:
-    """Where each point is seen at the view ``now``, or in the view that is nearest to it: (N, 2)."""
-    order = np.argsort(np.abs(np.arange(len(xy)) - now), kind="stable")
-    seen = np.isfinite(xy[order, :, 0])
-    return np.asarray(xy[order][np.argmax(seen, axis=0), np.arange(xy.shape[1])])
 
 
 def _with_doubts(found: list[TurningBody]) -> TurningBody:

@@ -22,7 +22,7 @@ _EXPANSION_SIGMAS = 3.0
 
 def with_expansions(states: TrackStates, history: TrackHistory, motions: FrameMotions) -> TrackStates:
     """Times by expansion for tracks of a cluster that have no flow of their own."""
-    # The surroundings of a point of the scene lie at many depths: there only a point on the epipole itself is asked.
+    # The surroundings of a point of the scene lie at many depths: there only one on the epipole itself is asked.
     is_at_epipole = (states.status == int(Status.at_epipole)) & (motions.cluster_id != NO_CLUSTER)
     # What is within its noise as a whole does not expand, either.
     directed = [
@@ -30,10 +30,10 @@ def with_expansions(states: TrackStates, history: TrackHistory, motions: FrameMo
     ]
     stays = (states.status == int(Status.no_parallax)) & np.isin(motions.cluster_id, directed)
     asks = is_at_epipole | stays
-    gap = min(EXPANSION_FRAMES, history.n_past)
-    clusters = history.xy_px, motions.cluster_id
-    neighbours = neighbours_in_cluster(*clusters, asks, EXPANSION_NEIGHBOURS, motions.link_px)
-    return with_constant_bearing(states, history, neighbours, gap, asks)
+    itself = np.arange(history.n_tracks)[:, None]
+    others = nearest_neighbours(history.xy_px, EXPANSION_NEIGHBOURS - 1, motions.link_px, asks, motions.cluster_id)
+    neighbours = np.hstack([itself, np.where(others == itself, -1, others)])
+    return with_constant_bearing(states, history, neighbours, min(EXPANSION_FRAMES, history.n_past), asks)
 
 
 def with_constant_bearing(
@@ -90,13 +90,3 @@ def _expansion_noise_hz(states: TrackStates, neighbours: Ints, gap_s: float) -> 
     size = np.sqrt(np.sum(off**2, axis=(1, 2)))
     unknown = np.full(len(size), np.inf)
     return np.asarray(np.divide(np.sqrt(2.0) * sigma, size * gap_s, out=unknown, where=size > 0.0))
-
-
-def neighbours_in_cluster(xy_px: Floats, cluster: Ints, is_asked: Bools, count: int, radius_px: float) -> Ints:
-    """The nearest tracks of the same cluster around each track for which ``is_asked (N,)`` holds, itself the first.
-
-    Returns ``(N, count)`` tracks within the radius, -1 where absent and for tracks not asked.
-    """
-    itself = np.arange(len(xy_px))[:, None]
-    others = nearest_neighbours(xy_px, count - 1, radius_px, is_asked, cluster)
-    return np.hstack([np.where(is_asked[:, None], itself, -1), np.where(others == itself, -1, others)])

@@ -19,6 +19,9 @@ _LEAST_OF_SURFACE = 3
 # Standard deviation of the depths on what is hit first, as a share of its distance: 0.2 m at 15 m. Twice that takes the
 # middle of a bicycle seen from behind for its end, half of that takes a few points for a surface.
 _RELIEF = 0.012
+# Where nothing is supported at that, so much is tried: the tracks of a thing near by, of which each has a depth of its
+# own, are known better than they agree.
+_WIDER_RELIEFS = 0.036, 0.108
 # A side has at least so many tracks, and this part of the object's. Its slope has a chi-square (two degrees of freedom)
 # above the third: noise exceeds 14 once in a thousand, but neighbours on the rear of a car share its relief.
 _LEAST_OF_SIDE, _PART_OF_SIDE, _SIDE_CHI2 = 8, 0.8, 40.0
@@ -71,7 +74,7 @@ def joint_states(
     rate_hz, own_hz = own_rates(sets.index, direction[owner][sets.set_of], states)
     sigma_hz = np.hypot(own_hz, _RELIEF * rate_hz)
     needed = tracks_needed(members.lengths[owner])
-    is_in = in_nearest_surface(rate_hz, sigma_hz, xy_px[sets.index], sets, needed, link_px)
+    is_in, is_deep = _nearest_surfaces(sets, rate_hz, own_hz, needed, xy_px[sets.index], link_px)
     may_show = (path >= 0) & (sets.lengths >= _LEAST_OF_SIDE)
     above_hz = np.zeros(len(rate_hz))
     if may_show.any():
@@ -80,7 +83,9 @@ def joint_states(
         side_hz, is_near, is_side = _near_ends(of_asked, states.xy, rate_hz[asked], sigma_hz[asked])
         shown = asked[is_side]
         is_in[shown], above_hz[shown] = is_near[is_side], side_hz[is_side] - rate_hz[shown]
+        is_deep[sets.set_of[shown]] = False
     has_surface = np.bincount(sets.set_of[is_in], minlength=len(sets)) > 0
+    is_deep &= has_surface
     takes_all = ~has_surface & is_one[owner] & (sets.lengths >= _LEAST_OF_SURFACE)
     is_in |= takes_all[sets.set_of]
     surfaces, left = sets.where(is_in)
@@ -93,7 +98,31 @@ def joint_states(
     off_ref = states.xy[surfaces.index] - ref[surfaces.set_of]
     ref_sigma = np.sqrt(surfaces.sums((weight[:, None] * off_ref) ** 2))
     cov = _covariances(surfaces, weight, off_ref, own_hz[is_in], states)
+    # It may be nearer by as much as one of its tracks is, beyond that one's noise.
+    mean_hz = surfaces.sums(weight * rate_hz[is_in])
+    nearer = np.maximum.reduceat((rate_hz - own_hz)[is_in], surfaces.first) / mean_hz - 1.0
+    nearer = np.where(is_deep[left], np.maximum(nearer, 0.0), 0.0)
+    cov += (nearer**2)[:, None, None] * abc_hz[:, :, None] * abc_hz[:, None, :]
     return JointStates(owner[left], ref_px, ref_sigma, abc_hz, cov)
+
+
+def _nearest_surfaces(
+    sets: TrackSets, rate_hz: Floats, own_hz: Floats, needed: Ints, xy_px: Floats, link_px: float
+) -> tuple[Bools, Bools]:
+    """Tracks ``(M,)`` of the nearest surface of each of K sets, by the least relief at which one is supported.
+
+    And where that is more than `_RELIEF`, ``(K,)``: there any of these tracks may be what is hit first.
+    """
+    is_in, is_deep = np.zeros(len(rate_hz), dtype=bool), np.zeros(len(sets), dtype=bool)
+    for relief in (_RELIEF, *_WIDER_RELIEFS):
+        lacks = (np.bincount(sets.set_of, is_in, len(sets)) == 0.0)[sets.set_of]
+        if not lacks.any():
+            break
+        asked, left = sets.where(lacks)
+        sigma_hz = np.hypot(own_hz[lacks], relief * rate_hz[lacks])
+        is_in[lacks] = in_nearest_surface(rate_hz[lacks], sigma_hz, xy_px[lacks], asked, needed[left], link_px)
+        is_deep[left] = relief > _RELIEF
+    return is_in, is_deep
 
 
 def _paths_of(sets: TrackSets, shared: SharedErrors) -> Ints:

@@ -10,7 +10,7 @@ from ttcvid.stages.tracking.groups import TrackSets
 
 # A surface needs this part of an object's tracks, and at least so many: with fewer, the depth of a nearly lost mover
 # is not reliable enough for a warning.
-_LEAST_PART, _LEAST_TRACKS = 0.1, 5
+_LEAST_PART, LEAST_TRACKS = 0.1, 5
 # Tracks within so many of their standard deviations of the surface's rate belong to it.
 _SURFACE_SIGMAS = 2.0
 # After a start without support the next one lies this much lower, in sigmas.
@@ -42,10 +42,10 @@ def in_nearest_surface(
 
 def tracks_needed(n_tracks: Ints) -> Ints:
     """Tracks ``(K,)`` that a surface of objects of ``n_tracks (K,)`` needs; those without a rate count as well."""
-    of_many = np.maximum(_LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64))
+    of_many = np.maximum(LEAST_TRACKS, np.ceil(_LEAST_PART * n_tracks).astype(np.int64))
     # All of one track fewer agree by chance less often than the least number of many do. (So an aircraft or a car far
     # off has a time one second earlier; three that agree are what is left behind a post.)
-    return np.asarray(np.where(n_tracks == _LEAST_TRACKS - 1, n_tracks, of_many))
+    return np.asarray(np.where(n_tracks == LEAST_TRACKS - 1, n_tracks, of_many))
 
 
 @compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8, i8[::1], i8[::1], b1[::1])")

@@ -122,10 +122,8 @@ def _path_of_body(body: TurningBody, t_s: Floats) -> SharedPaths:
     """The trajectory of a turning body as `SharedPaths` of K = 1."""
     offset, cov = np.zeros((1, N_SHARED)), np.zeros((1, N_SHARED, N_SHARED))
     offset[0, 6:9], cov[0, :9, :9] = body.turn_rad_s, body.path_cov
-    quality = np.array([body.squares]), np.array([body.median_chi2])
-    return SharedPaths(
-        body.path_turned_back(t_s)[None], body.start[None], offset, cov, body.direction_cov[None], *quality
-    )
+    left = np.array([body.squares]), np.array([body.median_chi2])
+    return SharedPaths(body.path_turned_back(t_s)[None], body.start[None], offset, cov, *left)
 
 
 def _turns_by_views(paths: SharedPaths, sigma_rad_s: float) -> tuple[Floats, Floats]:

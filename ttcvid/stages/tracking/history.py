@@ -152,11 +152,6 @@ class TrackHistory:
         stop = int(np.searchsorted(self.since_s, window_s, side="right"))
         return slice(max(0, min(first, self.n_past + 1 - _LEAST_RECENT)), stop)
 
-    @property
-    def reach_s(self) -> float:
-        """Time from the present frame to the view farthest from it."""
-        return float(np.abs(self.since_s[[0, -1]]).max())
-
     @cached_property
     def since_s(self) -> Floats:
         """Times relative to the present frame, ``(L,)`` s: up to 0, but for later views."""
