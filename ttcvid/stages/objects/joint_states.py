@@ -73,8 +73,7 @@ def joint_states(
     path = _paths_of(sets, shared)
     rate_hz, own_hz = own_rates(sets.index, direction[owner][sets.set_of], states)
     sigma_hz = np.hypot(own_hz, _RELIEF * rate_hz)
-    needed = tracks_needed(members.lengths[owner])
-    is_in, is_deep = _nearest_surfaces(sets, rate_hz, own_hz, needed, xy_px[sets.index], link_px)
+    is_in, is_deep = _nearest_surfaces(sets, rate_hz, own_hz, members.lengths[owner], xy_px[sets.index], link_px)
     may_show = (path >= 0) & (sets.lengths >= _LEAST_OF_SIDE)
     above_hz = np.zeros(len(rate_hz))
     if may_show.any():
@@ -107,12 +106,14 @@ def joint_states(
 
 
 def _nearest_surfaces(
-    sets: TrackSets, rate_hz: Floats, own_hz: Floats, needed: Ints, xy_px: Floats, link_px: float
+    sets: TrackSets, rate_hz: Floats, own_hz: Floats, n_tracks: Ints, xy_px: Floats, link_px: float
 ) -> tuple[Bools, Bools]:
     """Tracks ``(M,)`` of the nearest surface of each of K sets, by the least relief at which one is supported.
 
-    And where that is more than `_RELIEF`, ``(K,)``: there any of these tracks may be what is hit first.
+    And where that is more than `_RELIEF`, ``(K,)``: there any of them may be what is hit first. It takes half of the
+    ``n_tracks (K,)`` of a thing: those of a street that is taken for one lie at all depths.
     """
+    needed = tracks_needed(n_tracks)
     is_in, is_deep = np.zeros(len(rate_hz), dtype=bool), np.zeros(len(sets), dtype=bool)
     for relief in (_RELIEF, *_WIDER_RELIEFS):
         lacks = (np.bincount(sets.set_of, is_in, len(sets)) == 0.0)[sets.set_of]
@@ -121,7 +122,7 @@ def _nearest_surfaces(
         asked, left = sets.where(lacks)
         sigma_hz = np.hypot(own_hz[lacks], relief * rate_hz[lacks])
         is_in[lacks] = in_nearest_surface(rate_hz[lacks], sigma_hz, xy_px[lacks], asked, needed[left], link_px)
-        is_deep[left] = relief > _RELIEF
+        is_deep[left], needed = relief > _RELIEF, np.maximum(needed, n_tracks // 2)
     return is_in, is_deep
 
 

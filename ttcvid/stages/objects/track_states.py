@@ -117,9 +117,8 @@ def _on_paths(
     shared = SharedErrors(path_of, paths.direction, *errors, turn_rad_s)
     status = np.where(on_path, _status_on_path(rates, found), motions.no_direction_status)
     moves = np.zeros(n_paths, dtype=bool)
-    for k in np.flatnonzero(is_object):
-        own = np.flatnonzero((path_of == k) & (rate_variance > 0.0))
-        moves[k] = len(own) > 0 and _moves(shared, own, paths.direction[k], shared_cov[k])
+    for k in np.flatnonzero(is_object).tolist():
+        moves[k] = _moves(shared, np.flatnonzero((path_of == k) & (rate_variance > 0.0)), k)
     status[(status == Status.no_parallax) & np.append(moves, False)[path_of]] = Status.ok
     status[on_path & ~np.isfinite(rates.rate_hz)] = Status.at_epipole
     is_short = on_path & (rates.n_frames < LEAST_FRAMES_ON_PATH)
@@ -129,14 +128,13 @@ def _on_paths(
     return states.without(~states.has_value, status)
 
 
-def _moves(shared: SharedErrors, own: Ints, direction: Floats, cov: Floats) -> bool:
-    """Whether the tracks ``own (M,)`` of an object say together that it moves along its ``direction (3,)``.
+def _moves(shared: SharedErrors, own: Ints, path: int) -> bool:
+    """Whether the tracks ``own (M,)`` of an object say together that it moves along its path.
 
-    To ask each by itself leaves those that noise has brought nearer: of a car 7 s away, a third too near. ``cov (12,
-    12)`` is that of what they share.
+    To ask each by itself leaves those that noise has brought nearer: of a car 7 s away, a third too near.
     """
-    weight = 1.0 / shared.rate_variance[own]
-    by_shared = direction @ np.tensordot(weight, shared.jacobian[own], 1)
+    weight, along, cov = 1.0 / shared.rate_variance[own], shared.along[path], shared.cov[path]
+    by_shared = along @ np.tensordot(weight, shared.jacobian[own], 1)
     variance = by_shared @ cov @ by_shared + np.sum(weight)
     return bool(weight @ shared.rate_hz[own] > _RATE_SIGMAS * np.sqrt(variance))
 

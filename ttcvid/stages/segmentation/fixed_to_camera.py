@@ -13,11 +13,12 @@ from ttcvid.geometry.kernels.normal_equations import product
 from ttcvid.geometry.kernels.path_point import LEAST_FORWARD
 from ttcvid.model import Floats
 from ttcvid.stages.segmentation.body_views import BodyViews
+from ttcvid.stages.tracking.tracker import COMMON_ERROR_PX
 
 FOLLOWS = 1.0
 """A track that stays on its pixel can be of a mover if it follows the turns of the camera at these log odds."""
-# What scatters by less than this about its mean stays on its pixel (root mean square of a coordinate): tracks on the
-# rim of a spot are drawn along by what passes behind it, by 0.1 px a frame.
+# What scatters by less than this about its mean stays on its pixel (root mean square of a coordinate), where the scene
+# passes: tracks on the rim of a spot are drawn along by what is behind it, by 0.1 px a frame.
 _STAYS_PX = 0.5
 # Least number of views of a track that stays.
 _LEAST_VIEWS = 3
@@ -25,15 +26,17 @@ _LEAST_VIEWS = 3
 _TINY = 1e-9
 
 
-def ride_odds(views: BodyViews, cam_R_past: Floats) -> Floats:
+def ride_odds(views: BodyViews, cam_R_past: Floats, *, scene_passes: bool = True) -> Floats:
     """Log odds ``(N,)`` that each track is fixed to the camera, which has turned by ``cam_R_past (L, 3, 3)`` since each
     view.
 
-    Minus infinity for tracks that leave their pixel (`_STAYS_PX`). Of the others, the places as seen and the places
-    without the rotations of the camera are compared: those that scatter less about a parabola over time are the
-    smoother ones, and tell which of the two does not move. Without turns, or with three views, the odds are 0.
+    Minus infinity for tracks that leave their pixel: by `_STAYS_PX` where the scene passes, else by what tracks err by
+    in common. Of the others, the places as seen and the places without the rotations of the camera are compared: those
+    that scatter less about a parabola over time are the smoother ones, and tell which of the two does not move. Without
+    turns, or with three views, the odds are 0.
     """
-    odds, scatter = np.full(len(views.sigma_norm), -np.inf), (_STAYS_PX * views.plane_per_px) ** 2
+    stays_px = _STAYS_PX if scene_passes else COMMON_ERROR_PX
+    odds, scatter = np.full(len(views.sigma_norm), -np.inf), (stays_px * views.plane_per_px) ** 2
     powers = np.vander(2.0 * views.since_s / min(float(views.since_s[0]), -_TINY) - 1.0, 3)
     _fill_odds(views.rays_by_track, np.ascontiguousarray(cam_R_past), powers, scatter, views.sigma_norm, odds)
     return odds

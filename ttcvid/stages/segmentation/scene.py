@@ -106,7 +106,8 @@ def see_scene(
     is_sure = platform == Platform.aircraft or np.isfinite(history.scene_direction).any()
     way, prior = scene.path[0, 0], MOTION_PRIORS[platform]
     least_moving = _LEAST_MOVING_FREE if prior.is_open else _LEAST_MOVING
-    if not is_sure and not (_moves_past(fit, region, is_free, least_moving) and not prior.excludes(way)):
+    passes = is_sure or (_moves_past(fit, region, is_free, least_moving) and not prior.excludes(way))
+    if not passes:
         fit = fit_on_paths(every, replace(scene, path=np.zeros_like(scene.path)))
     may_rest = is_free if can_translate else _steps_little(views, scene)
     if egomotion.window is not None:
@@ -131,7 +132,7 @@ def see_scene(
         changes = change_speed(views, scene, fit, key, (redchi < config.scene_gate) & ~is_road)
         road = replace(road, by_speed=np.where(changes, 1.0, road.by_speed))
         redchi = _with_contradictions(redchi, road, is_road, key, fit.n_views, config)
-    rides = ride_odds(views, scene.cam_R_past[0])
+    rides = ride_odds(views, scene.cam_R_past[0], scene_passes=passes and can_translate)
     if not can_translate:
         # Most of what a mast sees stays on its pixel: only what is seen to shake with the camera is fixed to it.
         rides = np.where(rides > FOLLOWS, rides, -np.inf)

@@ -102,7 +102,10 @@ def find_corners(
     coarse = free[np.sort(best)]
     xy = _refined(response, x[coarse], y[coarse])
     n_close = 0 if only_new_places else int(config.close_share * n_wanted)
-    chosen = np.flatnonzero(_keeps_distance(xy, min_distance_px))[: n_wanted - n_close]
+    # Without those that an earlier one is closer to.
+    keeps = np.ones(len(xy), dtype=bool)
+    keeps[KDTree(xy).query_pairs(min_distance_px, output_type="ndarray").max(axis=1)] = False
+    chosen = np.flatnonzero(keeps)[: n_wanted - n_close]
     coarse, xy = coarse[chosen], xy[chosen]
     if not n_close:
         return xy
@@ -259,13 +262,6 @@ def _choose(x: Floats, y: Floats, taken: Floats, distance: float, cell: float, g
             chosen[n] = k
             n += 1
     return n
-
-
-def _keeps_distance(xy: Floats, min_distance_px: float) -> Bools:
-    """Points (M,), in order of choice, without an earlier one closer than ``min_distance_px``."""
-    keeps = np.ones(len(xy), dtype=bool)
-    keeps[KDTree(xy).query_pairs(min_distance_px, output_type="ndarray").max(axis=1)] = False
-    return keeps
 
 
 def _refined(response: NDArray[Any], x: Ints, y: Ints) -> Floats:
