@@ -70,7 +70,10 @@ def cluster_rows(
     xy_px = np.where(np.isfinite(history.rays[history.now, :, :1]), history.xy_px, np.nan)
     joint = surfaces_of(motions.clusters, members, states, history.xy_px, motions.link_px)
     owners = TrackSets.of([motions.clusters[place].members for place in joint.owner])
-    age_s = owners.medians(_age_s(history, owners.index))
+    # For how long each track is seen, as far as the history goes.
+    is_seen = np.isfinite(history.rays[:, owners.index, 0])
+    first, last = is_seen.argmax(axis=0), len(is_seen) - 1 - is_seen[::-1].argmax(axis=0)
+    age_s = owners.medians(np.where(is_seen.any(axis=0), history.t_s[last] - history.t_s[first], 0.0))
     drift_hz = common_growth_hz(owners.radii(xy_px), age_s, gap_s, history.common_error_px)
     of_states = common_covariances(joint.ref_px, drift_hz, camera)
     numbers = [motions.clusters[place].cluster_id for place in joint.owner]
@@ -93,10 +96,3 @@ def _expansions(history: TrackHistory, members: Sequence[Ints], past: int, gap_s
     for row, index in zip(padded, members, strict=True):
         row[: len(index)] = index
     return expansion_of_neighbourhood(history.derotated(past), history.rays[history.now], padded, gap_s)[0]
-
-
-def _age_s(history: TrackHistory, index: Ints) -> Floats:
-    """For how long each of the tracks ``index (M,)`` is seen, (M,) s, as far as the history goes."""
-    is_seen = np.isfinite(history.rays[:, index, 0])
-    first, last = is_seen.argmax(axis=0), len(is_seen) - 1 - is_seen[::-1].argmax(axis=0)
-    return np.where(is_seen.any(axis=0), history.t_s[last] - history.t_s[first], 0.0)
