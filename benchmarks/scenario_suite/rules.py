@@ -140,7 +140,7 @@ RULES: dict[str, Rule] = {
     "fixed_to_camera": Rule(
         "what is fixed to the camera is no mover",
         "bodies",
-        {"stages.segmentation.fixed_to_camera.ride_odds": lambda views, _: np.full(len(views.xy_px), -np.inf)},
+        {"stages.segmentation.fixed_to_camera.ride_odds": lambda views, *_, **__: np.full(len(views.xy_px), -np.inf)},
         _stage("segmentation/fixed_to_camera"),
     ),
     "drift": Rule(
