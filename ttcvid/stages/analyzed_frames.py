@@ -117,11 +117,11 @@ def without_remnants(
 
     Most of them are what is left of an object, or never were one. Before a camera at rest few tracks make a mover.
     """
-    if platform == Platform.static:
-        return tracks, clusters
     told = [
         one for one in clusters if one.role == "scene" or one.state_abc_hz is not None or one.n_tracks >= LEAST_TRACKS
     ]
+    if platform == Platform.static or len(told) == len(clusters):
+        return tracks, clusters
     is_left = ~np.isin(tracks.cluster_id, [NO_CLUSTER, *(one.cluster_id for one in told)])
     times = (np.where(is_left, np.nan, getattr(tracks.times, field.name)) for field in fields(CollisionTimes))
     tracks = replace(

@@ -74,11 +74,10 @@ def joint_states(
     rate_hz, own_hz = own_rates(sets.index, direction[owner][sets.set_of], states)
     sigma_hz = np.hypot(own_hz, _RELIEF * rate_hz)
     n_tracks = members.lengths[owner]
+    needed = tracks_needed(n_tracks)
     # Half of a thing, as a street that is taken for one has all depths; never where it was found as one surface.
-    wider = np.where(is_one[owner], n_tracks + 1, n_tracks // 2)
-    is_in, is_deep = _nearest_surfaces(
-        sets, rate_hz, own_hz, (tracks_needed(n_tracks), wider), xy_px[sets.index], link_px
-    )
+    wider = np.maximum(needed, np.where(is_one[owner], n_tracks + 1, n_tracks // 2))
+    is_in, is_deep = _nearest_surfaces(sets, rate_hz, own_hz, needed, wider, xy_px[sets.index], link_px)
     may_show = (path >= 0) & (sets.lengths >= _LEAST_OF_SIDE)
     above_hz = np.zeros(len(rate_hz))
     if may_show.any():
@@ -111,12 +110,12 @@ def joint_states(
 
 
 def _nearest_surfaces(
-    sets: TrackSets, rate_hz: Floats, own_hz: Floats, needed: tuple[Ints, Ints], xy_px: Floats, link_px: float
+    sets: TrackSets, rate_hz: Floats, own_hz: Floats, needed: Ints, wider: Ints, xy_px: Floats, link_px: float
 ) -> tuple[Bools, Bools]:
     """Tracks ``(M,)`` of the nearest surface of each of K sets, by the least relief at which one is supported.
 
-    And where that is more than `_RELIEF`, ``(K,)``: there any of them may be what is hit first. ``needed`` are the
-    least tracks at first, and at a wider relief, ``(K,)`` each.
+    And where that is more than `_RELIEF`, ``(K,)``: there any of them may be what is hit first. ``needed (K,)`` tracks
+    support it at first, at a wider relief ``wider (K,)``.
     """
     is_in, is_deep = np.zeros(len(rate_hz), dtype=bool), np.zeros(len(sets), dtype=bool)
     for relief in (_RELIEF, *_WIDER_RELIEFS):
@@ -124,10 +123,9 @@ def _nearest_surfaces(
         if not lacks.any():
             break
         asked, left = sets.where(lacks)
-        is_deep[left] = relief > _RELIEF
-        least = np.where(is_deep, np.maximum(*needed), needed[0])[left]
         sigma_hz = np.hypot(own_hz[lacks], relief * rate_hz[lacks])
-        is_in[lacks] = in_nearest_surface(rate_hz[lacks], sigma_hz, xy_px[lacks], asked, least, link_px)
+        is_in[lacks] = in_nearest_surface(rate_hz[lacks], sigma_hz, xy_px[lacks], asked, needed[left], link_px)
+        is_deep[left], needed = relief > _RELIEF, wider
     return is_in, is_deep
 
 
