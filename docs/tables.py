@@ -41,7 +41,7 @@ Each table is `NAME.parquet` in the output folder: zstd, sorted by frame and num
 {SCHEMA_VERSION} (`{VERSION_KEY}` in the file's metadata). Every column carries its unit and its description in the
 metadata of its field. The file's metadata also say how it was made: camera, tracker, estimator, platform, and
 `estimates`: `causal`, or `smooth` with `--smooth`. A value that does not exist is null and has a `status`
-beside it: never 0, NaN or infinity.
+beside it: never 0, NaN or infinity. A time of an object (`clusters`) is null under `ok` where its interval has no end.
 
 Type `name` is one of the words that the meaning lists, stored as `dictionary<string, int8>`: pandas reads it as
 categories, others as text. `int32` with the unit 1 counts or numbers something. `pandas.read_parquet` gives types in

@@ -269,6 +269,16 @@ class CollisionTimes:
         """The rows that a mask or an index array picks."""
         return CollisionTimes(*(getattr(self, f.name)[index] for f in fields(self)))
 
+    def where_bounded(self) -> CollisionTimes:
+        """The same with NaN for values whose 90 % interval has an end that is infinite; the bounds stay.
+
+        There 1 / time may be zero: of ttc_z and miss the lower bound says what is known, of tcpa nothing is left. Meant
+        for objects. The times of single tracks are what estimates are made of, which a selection by noise would bias.
+        """
+        told = {"tcpa_s": self.tcpa_lo_s <= self.tcpa_hi_s, "miss_s": self.miss_lo_s <= self.miss_hi_s}
+        told["ttc_z_s"] = self.ttc_z_lo_s <= self.ttc_z_hi_s
+        return replace(self, **{name: np.where(is_told, getattr(self, name), np.nan) for name, is_told in told.items()})
+
 
 _NO_TIMES = CollisionTimes.missing(1)
 

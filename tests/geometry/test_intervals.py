@@ -169,6 +169,29 @@ def test_interval_of_ttc_z_through_infinity_has_lo_above_hi():
     assert times.ttc_z_lo_s[0] > 0 > times.ttc_z_hi_s[0]
 
 
+def test_values_are_told_where_their_intervals_are_bounded():
+    """What surely nears, what may recede, what surely recedes, what crosses, and what may not move."""
+    abc_hz = np.array([[0, 0, -0.1], [0, 0, -0.01], [0, 0, 0.1], [0.3, 0, -0.01], [0.01, 0, -0.01]])
+    times = collision_times_from_state(
+        np.zeros(5), np.zeros(5), abc_hz, 1e-4 * np.eye(3)[None].repeat(5, 0), np.zeros(5)
+    )
+    told = times.where_bounded()
+    assert np.isfinite(told.ttc_z_s).tolist() == [True, False, True, False, False]
+    for name in ("tcpa", "miss"):
+        assert np.isfinite(getattr(told, f"{name}_s")).tolist() == [True, False, True, True, False], name
+    for name, values in vars(told).items():
+        kept = np.isfinite(values) | name.endswith(("lo_s", "hi_s"))
+        np.testing.assert_array_equal(values[kept], getattr(times, name)[kept])
+
+
+def test_a_time_without_error_is_told():
+    times = collision_times_from_state(
+        np.full(1, 0.3), np.full(1, 0.2), np.array([[0.1, 0.0, -0.37]]), np.zeros((1, 3, 3)), np.zeros(1)
+    )
+    told = times.where_bounded()
+    assert np.isfinite([told.ttc_z_s, told.tcpa_s, told.miss_s]).all()
+
+
 def test_short_intervals_end_at_the_sigmas_that_they_say():
     """ttc_z at those of one normal value, tcpa and miss at those of the 90 % region of two."""
     rng = np.random.default_rng(6)

@@ -203,8 +203,9 @@ def test_all_intervals_halved(part, name, runs):
             table[f"{stem}_{end}_s"] = (table[f"{stem}_{end}_s"] + table[f"{stem}_s"]) / 2
     is_same, text = said(one, {part: table})
     assert not is_same
-    assert "_lo_s" in text
     assert "_hi_s" in text
+    # In the drive, half of the lower part of most tracks' intervals is within the tolerance.
+    assert "_lo_s" in text or (part, name) == ("collision_times", "drive")
 
 
 @pytest.mark.parametrize("name", RUNS)

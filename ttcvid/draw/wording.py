@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from enum import IntEnum
 
 from ttcvid.draw.palette import BLACK, CLOSE, DARK, MUTED_INK, WARNING, WHITE, Colour
@@ -69,10 +68,10 @@ def time_text(cluster: ClusterRow) -> str:
     if cluster.motion_state in _STATE_WORDS:
         return _STATE_WORDS[cluster.motion_state]
     ttc_s, lo_s, hi_s = _ttc_z(cluster)
-    if not ttc_s > 0:
-        return "-"
     if lo_s > hi_s:
         return f">{seconds(lo_s)} s"
+    if not ttc_s > 0:
+        return "-"
     if hi_s - lo_s > 2 * TIGHT_INTERVAL * ttc_s:
         return f"{seconds(max(lo_s, 0.0))}-{seconds(hi_s)} s"
     return f"{seconds(ttc_s)} s"
@@ -105,7 +104,6 @@ def banner_text(event: Event, said_of_it: str) -> str:
 
 
 def _ttc_z(cluster: ClusterRow) -> tuple[float, float, float]:
-    """ttc_z with the ends of its interval, NaN where there is none; an infinite end stays infinite."""
+    """ttc_z with the ends of its interval, NaN where there is none."""
     times = cluster.times
-    values = float(times.ttc_z_s[0]), float(times.ttc_z_lo_s[0]), float(times.ttc_z_hi_s[0])
-    return values if math.isfinite(values[0]) else (math.nan, math.nan, math.nan)
+    return float(times.ttc_z_s[0]), float(times.ttc_z_lo_s[0]), float(times.ttc_z_hi_s[0])

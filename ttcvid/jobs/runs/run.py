@@ -96,7 +96,7 @@ class Run:
     def approaching(self, within_s: float | None = None) -> pd.DataFrame:
         """The rows of ``objects`` that certainly approach, of state ``approaching`` or ``constant_bearing``.
 
-        With ``within_s`` only those whose depth is zero within so many seconds (``ttc_z_s``).
+        With ``within_s`` only those whose depth is zero within so many seconds (``ttc_z_s``, bounded interval).
         """
         objects = self.objects
         is_told = objects.state.isin([state.value for state in APPROACHING])

@@ -184,8 +184,8 @@ function approachingLine(object, name, columns) {
   const [values, low, high] = columns.map((column) => column.slice());
   const isOpen = values.map((value, i) => low[i] !== null && low[i] > high[i]);
   for (let i = 0; i < values.length; i++) {
-    if (values[i] === null || values[i] <= 0) values[i] = low[i] = high[i] = null;
-    else if (isOpen[i]) high[i] = BEYOND * LONGEST_S;
+    if (isOpen[i]) high[i] = BEYOND * LONGEST_S;
+    else if (values[i] === null || values[i] <= 0) values[i] = low[i] = high[i] = null;
     else if (low[i] !== null && low[i] < 0) low[i] = 0;
   }
   return { values, low, high, isOpen };

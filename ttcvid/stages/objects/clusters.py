@@ -202,7 +202,7 @@ def epipole_pixels(directions: Floats, camera: Camera) -> Floats:
 
 
 def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
-    """Rows with times and motion states, where they have a state."""
+    """Rows with motion states, and with times whose intervals are bounded, where they have a state."""
     stated = [place for place, row in enumerate(rows) if row.state_abc_hz is not None and row.ref_px is not None]
     if not stated:
         return rows
@@ -212,7 +212,7 @@ def with_times(rows: list[ClusterRow], camera: Camera) -> list[ClusterRow]:
     # The centroid of the surface is known by its tracks; as a point that is looked at, it has no error.
     ref_sigma = np.transpose([rows[place].ref_sigma for place in stated])
     times = collision_times_from_state(xy[:, 0], xy[:, 1], abc_hz, cov, ref_sigma)
-    times = with_focal_interval(times, xy[:, 0], xy[:, 1], abc_hz, camera)
+    times = with_focal_interval(times, xy[:, 0], xy[:, 1], abc_hz, camera).where_bounded()
     rates, rates_cov = radial_and_transverse_rate(xy[:, 0], xy[:, 1], abc_hz, cov, np.full(len(stated), _EXACT))
     sigmas = np.sqrt(np.diagonal(rates_cov, axis1=1, axis2=2))
     rows = list(rows)
@@ -238,8 +238,7 @@ def _take_directions_of_states(
     """Replaces the directions, covariances and their statuses of objects, of all K, by those of their states.
 
     The direction of a mover assumes straight tracks at constant speed; their common trajectory bends and changes
-    speed. On a horizon, which is better known than either, the direction is kept, and so is that of what stands still:
-    it is our own.
+    speed. On a horizon, better known than either, the direction is kept, and so is that of what stands still: our own.
     """
     is_kept = np.array([motion.is_static or motion.method.endswith(ON_HORIZON) for motion in motions], dtype=bool)
     speed_hz = np.linalg.norm(joint.abc_hz, axis=1)

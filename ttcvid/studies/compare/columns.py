@@ -98,7 +98,7 @@ def judge_column(
     if column.unit == "":
         ratio = np.where(_is_same_name(baseline, run), 0.0, np.inf)
         return _verdict(rows, column, tolerance, ratio)
-    before, now = judged_values(column.name, baseline), judged_values(column.name, run)
+    before, now = _told(rows.baseline, column.name), _told(rows.run, column.name)
     limits = tolerance.of_column(rows.part, column.name)
     allowed = allowed_difference(before, now, limits, reported_sigma(rows.baseline, column.name, focal_px))
     ratio = difference_ratio(before, now, allowed)
@@ -117,7 +117,7 @@ def complaints_about_times(
     """
     complaints = []
     for name in (name for name in _OBJECT_TIMES if name in columns):
-        before, now = (judged_values(name, side[name]) for side in (rows.baseline, rows.run))
+        before, now = (_told(side, name) for side in (rows.baseline, rows.run))
         limits = tolerance.of_column(rows.part, name)
         allowed = allowed_difference(before, now, limits, reported_sigma(rows.baseline, name, None))
         is_outside = difference_ratio(before, now, allowed) > 1
@@ -129,6 +129,18 @@ def complaints_about_times(
                 what = f"object {number}: {name} is different in {is_outside[own].sum()} of {own.sum()} rows"
                 complaints.append(what + (f": {hint}" if hint else ""))
     return complaints
+
+
+def _told(table: pd.DataFrame, name: str) -> Floats:
+    """`judged_values` of a column; of ttc_z the middle of its interval where only that is told.
+
+    An object's value comes and goes where its interval comes to reach infinity: no difference by itself.
+    """
+    values = judged_values(name, table[name])
+    if name == "ttc_z_s" and {"ttc_z_lo_s", "ttc_z_hi_s"} <= set(table):
+        ends = (judged_values("ttc_z", table[f"ttc_z_{end}_s"]) for end in ("lo", "hi"))
+        values = np.where(np.isnan(values), sum(ends) / 2.0, values)
+    return values
 
 
 def judged_values(name: str, values: pd.Series) -> Floats:

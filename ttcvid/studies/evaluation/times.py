@@ -31,13 +31,16 @@ def judge_times(name: str, truth_s: Floats, found: Mapping[str, Any], is_counted
     has_value = np.isfinite(found_s[in_range, 0])
     true_s, (value_s, lo_s, hi_s) = truth_s[in_range][has_value], found_s[in_range][has_value].T
     error = relative_error_of_eta(true_s, value_s)
+    # An object's interval that reaches infinity stands without a value.
+    has_interval = has_value | np.isfinite(found_s[in_range, 1:]).all(axis=1)
+    judged = truth_s[in_range][has_interval], *found_s[in_range][has_interval, 1:].T
     numbers = {
         "n": float(len(true_s)),
         "share": _mean(has_value),
         "median": quantile(np.abs(error), 0.5),
         "p90": quantile(np.abs(error), 0.9),
         "bias": quantile(error, 0.5),
-        "coverage": _mean(is_within(name, true_s, lo_s, hi_s)),
+        "coverage": _mean(is_within(name, *judged)),
         "half_width": quantile(relative_half_width(name, value_s, lo_s, hi_s), 0.5),
     }
     if name == "miss":
