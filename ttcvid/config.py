@@ -55,6 +55,12 @@ class TrackingConfig(StageConfig):
         le=1.0,
         description="share of new corners allowed at 0.57 of that distance, on small objects",
     )
+    far_share: float = Field(
+        default=0.2,
+        ge=0.0,
+        le=1.0,
+        description="share of new corners that go where the picture moves least: far away, where things are small",
+    )
     corner_quality: Fraction = Field(
         default=0.005, description="corner response relative to the best one of the picture"
     )

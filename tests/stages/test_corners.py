@@ -14,10 +14,15 @@ NO_POINTS = np.empty((0, 2))
 # Part of the corners that may stand close, and of the distance what is kept between those.
 CLOSE_SHARE = 0.1
 CLOSEST = 0.57
+# Part of the corners that goes where the picture moves least.
+FAR_SHARE = 0.4
 
 
-def corners_of(picture, allowed, taken_px, n_wanted, min_distance_px, quality, close_share, **options):
-    config = TrackingConfig(min_distance_px=min_distance_px, corner_quality=quality, close_share=close_share)
+def corners_of(
+    picture, allowed, taken_px, n_wanted, min_distance_px, quality, close_share, far_share=FAR_SHARE, **options
+):
+    shares = {"close_share": close_share, "far_share": far_share}
+    config = TrackingConfig(min_distance_px=min_distance_px, corner_quality=quality, **shares)
     return find_corners(picture, allowed, taken_px, n_wanted, config, **options)
 
 
@@ -144,6 +149,42 @@ def test_without_a_share_of_close_corners_all_keep_the_whole_distance():
     apart = corners_of(wave_picture(), None, NO_POINTS, wanted, 10.0, 0.005, 0.0)
     assert pdist(apart).min() > 10.0 - 1.5
     assert len(apart) < len(corners_of(wave_picture(), None, NO_POINTS, wanted, 10.0, 0.005, CLOSE_SHARE))
+
+
+def test_a_part_of_the_corners_goes_where_the_picture_moves_least():
+    """The camera turns: what is far away moves by that alone, and of what is near some stands still in the picture."""
+    taken = np.random.default_rng(2).uniform([8, 8], [WIDTH - 8, HEIGHT - 8], (60, 2))
+    is_far = taken[:, 0] > WIDTH / 2
+    step_px = np.where(is_far[:, None], [8.0, 0.0], [0.0, 0.0])
+    step_px[::9] = np.nan
+    taken, step_px = (values[is_far | (np.arange(60) % 3 > 0)] for values in (taken, step_px))
+    assert np.nanmedian(step_px[:, 0]) == 8.0
+
+    def part_far_away(step_px):
+        found = corners_of(wave_picture(), None, taken, 120, 7.0, 0.005, CLOSE_SHARE, step_px=step_px)
+        assert np.linalg.norm(found[:, None] - taken[None], axis=2).min() > CLOSEST * 7.0 - 0.75
+        return np.mean(found[:, 0] > WIDTH / 2)
+
+    assert part_far_away(step_px) > part_far_away(None) + 0.15
+    assert part_far_away(-step_px) == part_far_away(step_px)
+    assert part_far_away(np.full_like(step_px, np.nan)) == part_far_away(None)
+
+
+@pytest.mark.parametrize(("close_share", "far_share"), [(0.9, 0.2), (1.0, 1.0), (0.6, 0.6)])
+def test_shares_beyond_the_whole_give_no_more_than_is_wanted(close_share, far_share):
+    taken = np.random.default_rng(1).uniform([0, 0], [WIDTH - 1, HEIGHT - 1], (60, 2))
+    step_px = np.ones_like(taken)
+    found = corners_of(wave_picture(), None, taken, 20, 7.0, 0.005, close_share, far_share, step_px=step_px)
+    assert len(found) == 20
+
+
+def test_corners_far_away_keep_their_distance_from_tracks_that_stand_close():
+    for seed in range(20):
+        taken = np.random.default_rng(seed).uniform([8, 8], [WIDTH - 8, HEIGHT - 8], (250, 2))
+        apart = np.linalg.norm(taken[:, None] - taken[None], axis=2) + 100.0 * np.eye(len(taken))
+        taken = taken[apart.min(axis=1) > CLOSEST * 7.0]
+        found = corners_of(wave_picture(), None, taken, 200, 7.0, 0.005, 0.0, 0.3, step_px=np.ones_like(taken))
+        assert np.linalg.norm(found[:, None] - taken[None], axis=2).min() > 7.0 - 0.75
 
 
 def test_asked_for_none_gives_none_and_never_more_than_asked():

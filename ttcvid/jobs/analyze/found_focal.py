@@ -52,6 +52,8 @@ def _seen_points(source: Source, calibration: Calibration, pipeline: PipelineCon
         update={
             "max_tracks": min(tracking.max_tracks, _MAX_TRACKS),
             "min_distance_px": max(tracking.min_distance_px, _LEAST_DISTANCE * source.info.image_size.width_px),
+            # Our own way is told by what is near.
+            "far_share": 0.0,
         }
     )
     with ReadAhead(source) as frames:

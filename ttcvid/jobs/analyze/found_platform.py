@@ -138,6 +138,8 @@ def _seen(frames: list[Frame], calibration: Calibration, pipeline: PipelineConfi
         update={
             "max_tracks": min(tracking.max_tracks, _MAX_TRACKS),
             "min_distance_px": max(tracking.min_distance_px, _LEAST_DISTANCE * calibration.camera.image_size.width_px),
+            # Our own way is told by what is near.
+            "far_share": 0.0,
         }
     )
     seen: list[tuple[float, PointSet]] = []

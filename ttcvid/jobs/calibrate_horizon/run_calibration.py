@@ -39,11 +39,20 @@ MOTIONS_NAME, PICTURE_NAME = "motions.parquet", "horizon.png"
 EXIT_UNDETERMINED = 5
 
 RESTING_DEFAULTS = {
-    "tracking": {"window_px": 13, "max_forward_backward_px": 0.5, "min_distance_px": 4.0, "close_share": 0.0}
+    "tracking": {
+        "window_px": 13,
+        "max_forward_backward_px": 0.5,
+        "min_distance_px": 4.0,
+        "close_share": 0.0,
+        "far_share": 0.0,
+    }
 }
 """Before a resting camera only movers are followed: as many points as they have, people's clothes among them. Closer
 than that their windows would see the same."""
-DRIVING_DEFAULTS = {"egomotion": {"platform": Platform.vehicle}}
+DRIVING_DEFAULTS: dict[str, dict[str, Any]] = {
+    "egomotion": {"platform": Platform.vehicle},
+    "tracking": {"far_share": 0.0},
+}
 
 OnFrame = Callable[[int, int | None], None]
 

@@ -13,6 +13,8 @@ from scipy.spatial import KDTree
 
 from ttcvid.compiled import compiled_for
 from ttcvid.config import TrackingConfig
+from ttcvid.geometry.medians import median
+from ttcvid.geometry.quotient import quotient
 from ttcvid.model import Bools, Floats, Ints, Picture
 
 # Side of the gradient window of the corner response, px.
@@ -36,9 +38,9 @@ _SIGMA_PER_ROUGHNESS = math.sqrt(math.pi / 2.0) / 6.0
 _HALF_WINDOW_PX, _HARRIS_K = 7, 0.05
 # Corners are weighed against what is around them within this square, px.
 _AROUND_PX = 65
-# Of the corners within a square of so many grid cells, less than this part is followed where something new is to be
-# seen: a square the size of the smallest things that bear an object.
-_BARE_CELLS, _BARE_PART = 5, 0.5
+# What is around a grid cell is a square of so many, the size of the smallest things that bear an object. Where less
+# than this part of the corners in it is followed, something new is to be seen.
+_AROUND_CELLS, _BARE_PART = 5, 0.5
 # Close corners stand this part of the full distance apart.
 _CLOSE_PART = 0.57
 
@@ -62,24 +64,27 @@ def find_corners(
     xy_taken_px: Floats,
     n_wanted: int,
     config: TrackingConfig,
-    *,
     only_new_places: bool = False,
+    step_px: Floats | None = None,
 ) -> Floats:
     """Strongest corners that keep their distance from each other and from the points already there.
 
     First each cell of a grid of side ``min_distance_px`` gives at most its strongest corner, and none where a point
     stands in it or next to it; so plain regions get the few corners they have instead of a tree getting all. A part of
     what is wanted may stand closer, those first that stand out of their surroundings: a car far away is two cells wide,
-    an aircraft less. A small part: windows that overlap err together, and pass for several witnesses.
+    an aircraft less. A small part: windows that overlap err together, and pass for several witnesses. Another part
+    goes first where the picture moves least, which is far away: there things are small, and tracks last.
 
     Parameters
     ----------
     grey : (H, W) uint8.
     allowed : (H, W) uint8, 0 where nothing is to be looked at, or None.
     xy_taken_px : (N, 2) points already there.
-    config : its ``close_share`` is the part of ``n_wanted`` that may stand at 0.57 of the distance.
+    config : its ``close_share`` is the part of ``n_wanted`` that may stand at 0.57 of the distance, its ``far_share``
+        the part that goes where the picture moves least, once that is known.
     only_new_places : corners where few of those around are followed, and no others: where most have their tracks,
         something has come into the picture there.
+    step_px : (N, 2) last steps of the points already there, NaN where unknown.
 
     Returns (M, 2) float64 corners, px: those of the grid first, in order of choice, M <= n_wanted.
     """
@@ -101,19 +106,36 @@ def find_corners(
     _, best = np.unique((row * taken.shape[1] + column)[free], return_index=True)
     coarse = free[np.sort(best)]
     xy = _refined(response, x[coarse], y[coarse])
-    n_close = 0 if only_new_places else int(config.close_share * n_wanted)
     # Without those that an earlier one is closer to.
     keeps = np.ones(len(xy), dtype=bool)
     keeps[KDTree(xy).query_pairs(min_distance_px, output_type="ndarray").max(axis=1)] = False
-    chosen = np.flatnonzero(keeps)[: n_wanted - n_close]
-    coarse, xy = coarse[chosen], xy[chosen]
-    if not n_close:
-        return xy
-    x, y = np.delete(x, coarse), np.delete(y, coarse)
-    outstanding = np.argsort(-response[y, x] / (_mean_around(response, x, y) + threshold), kind="stable")
-    x, y = x[outstanding], y[outstanding]
-    close = _spread(x, y, np.concatenate([xy_taken_px, xy]), shape, _CLOSE_PART * min_distance_px, n_close)
-    return np.concatenate([xy, _refined(response, x[close], y[close])])
+    if only_new_places:
+        return xy[keeps][:n_wanted]
+    step_px = np.full_like(xy_taken_px, np.nan) if step_px is None else step_px
+    is_known = np.isfinite(step_px[:, 0])
+    n_close = int(config.close_share * n_wanted)
+    n_far = min(int(config.far_share * n_wanted), n_wanted - n_close) if is_known.any() else 0
+    xy = xy[keeps][: n_wanted - n_close - n_far]
+    standing_out = response[y, x] / (_mean_around(response, x, y) + threshold)
+    more = [(-standing_out, _CLOSE_PART * min_distance_px, n_close)]
+    if n_far:
+        flow_px = _flow_of_cells(xy_taken_px[is_known], step_px[is_known], taken.shape, min_distance_px)
+        more.append((flow_px[cell], min_distance_px, n_far))
+    for rank, distance_px, n in more:
+        taken_px = np.concatenate([xy_taken_px, xy])
+        xy = np.concatenate([xy, _best(response, (x, y), rank, taken_px, distance_px, n)])
+    return xy
+
+
+def _flow_of_cells(xy_px: Floats, step_px: Floats, shape: tuple[int, ...], cell_px: float) -> Floats:
+    """Mean length of the steps ``(N, 2)`` of points in the picture about each cell, less the median; NaN: none."""
+    length_px = np.hypot(*(step_px.T - [[median(along)] for along in step_px.T]))
+    column, row = (xy_px / cell_px).astype(np.intp).T
+    cell, n_cells = row * shape[1] + column, shape[0] * shape[1]
+    sums = (np.bincount(cell, weight, n_cells).reshape(shape) for weight in (length_px, np.ones(len(cell))))
+    around = (_AROUND_CELLS, _AROUND_CELLS)
+    length, n_steps = (np.asarray(cv2.boxFilter(one, -1, around, normalize=False), np.float64) for one in sums)
+    return quotient(length, np.rint(n_steps))
 
 
 def find_corners_where(
@@ -128,13 +150,21 @@ def find_corners_where(
         return np.empty((0, 2))
     response = _response(grey)
     x, y = _peaks(grey, response, _response_to_noise(grey, None), where)
-    first = np.argsort(-response[y, x], kind="stable")
     xy = np.empty((0, 2))
     for distance_px in (min_distance_px, _CLOSE_PART * min_distance_px):
-        taken = np.concatenate([xy_taken_px, xy])
-        chosen = first[_spread(x[first], y[first], taken, grey.shape, distance_px, n_wanted - len(xy))]
-        xy = np.concatenate([xy, _refined(response, x[chosen], y[chosen])])
+        taken_px = np.concatenate([xy_taken_px, xy])
+        xy = np.concatenate([xy, _best(response, (x, y), np.zeros(len(x)), taken_px, distance_px, n_wanted - len(xy))])
     return xy
+
+
+def _best(
+    response: NDArray[Any], peaks: tuple[Ints, Ints], rank: Floats, xy_taken_px: Floats, distance_px: float, n: int
+) -> Floats:
+    """Up to n peaks (M, 2), lowest rank and then strongest first, that keep their distance from the points there."""
+    x, y = peaks
+    order = np.lexsort((-response[y, x], rank))
+    chosen = order[_spread(x[order], y[order], xy_taken_px, response.shape, distance_px, n)]
+    return _refined(response, x[chosen], y[chosen])
 
 
 def _bands(shape: tuple[int, ...], margin_px: int) -> Iterator[tuple[slice, slice, slice]]:
@@ -225,16 +255,16 @@ def _bare_cells(with_corner: tuple[Ints, Ints], taken: Bools) -> Bools:
     """Cells (like ``taken``) around which fewer than half of those ``with_corner``, rows and columns, are taken."""
     corners = np.zeros(taken.shape, dtype=np.float32)
     corners[with_corner] = 1.0
-    around = (_BARE_CELLS, _BARE_CELLS)
+    around = (_AROUND_CELLS, _AROUND_CELLS)
     n_corners, n_taken = (cv2.boxFilter(cells, -1, around, normalize=False) for cells in (corners, corners * taken))
     return np.asarray(n_taken < _BARE_PART * n_corners)
 
 
 def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, ...], distance_px: float, n_wanted: int) -> Ints:
     """Which of the pixels (N,), best first, keep their distance from each other and from the points already there."""
-    cell_px = distance_px / np.sqrt(2.0)
-    # Two rows and columns more on each side, so that every cell has its neighbours.
-    grid = np.full((int(shape[0] / cell_px) + 5, int(shape[1] / cell_px) + 5, 2), np.inf)
+    # No two points that stand at `_CLOSE_PART` share a cell. Three more rows and columns on each side for neighbours.
+    cell_px = distance_px / (2.0 * np.sqrt(2.0))
+    grid = np.full((int(shape[0] / cell_px) + 7, int(shape[1] / cell_px) + 7, 2), np.inf)
     chosen = np.empty(n_wanted, dtype=np.int64)
     n = _choose(x.astype(np.float64), y.astype(np.float64), xy_taken_px, distance_px, cell_px, grid, chosen)
     return chosen[:n]
@@ -244,16 +274,16 @@ def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, ...], dista
 def _choose(x: Floats, y: Floats, taken: Floats, distance: float, cell: float, grid: Floats, chosen: Ints) -> int:
     """Fills ``chosen`` by greedy choice; how many. ``grid`` holds one point a cell: two would be too close."""
     for k in range(len(taken)):
-        row, column = int(taken[k, 1] / cell) + 2, int(taken[k, 0] / cell) + 2
+        row, column = int(taken[k, 1] / cell) + 3, int(taken[k, 0] / cell) + 3
         grid[row, column, 0], grid[row, column, 1] = taken[k, 0], taken[k, 1]
     n = 0
     for k in range(len(x)):
         if n == len(chosen):
             break
-        row, column = int(y[k] / cell) + 2, int(x[k] / cell) + 2
+        row, column = int(y[k] / cell) + 3, int(x[k] / cell) + 3
         is_free = True
-        for i in range(row - 2, row + 3):
-            for j in range(column - 2, column + 3):
+        for i in range(row - 3, row + 4):
+            for j in range(column - 3, column + 4):
                 off_x, off_y = grid[i, j, 0] - x[k], grid[i, j, 1] - y[k]
                 if off_x * off_x + off_y * off_y < distance * distance:
                     is_free = False

@@ -66,8 +66,7 @@ class KltMemory:
     """What is remembered between two pictures: the last one, its points with their windows, and their last step.
 
     ``step_px (N, 2)`` is NaN for a point that has made none yet; ``n_copied (N,)`` counts the pictures since its window
-    was last seen anew; ``looked`` is the picture in which new corners were looked for last, ``n_since`` counts those
-    since then.
+    was last seen anew; ``looked`` is the picture in which corners were looked for last, ``n_since`` pictures ago.
     """
 
     grey: Picture
@@ -83,8 +82,7 @@ class KltMemory:
         """The points that are observed in the last picture.
 
         A codec copies what it does not send, to the same place: a copied window shows where its point was. That is an
-        observation only of what stood before, or where the whole picture stands. A new point is taken to step as most
-        others do.
+        observation only of what stood before, or where the whole picture stands. A new point is taken to go with most.
         """
         length_px = np.hypot(*self.step_px.T)
         is_new = np.isnan(length_px)
@@ -392,7 +390,9 @@ def _topped_up(memory: KltMemory, allowed: Picture | None, config: TrackingConfi
         new_px = find_corners_where(grey, where, windows_px, n_wanted, config.min_distance_px)
     else:
         n_wanted = config.max_tracks - n_live
-        new_px = find_corners(grey, allowed, windows_px, n_wanted, config, only_new_places=has_many)
+        new_px = find_corners(
+            grey, allowed, windows_px, n_wanted, config, has_many, None if camera_rests else memory.step_px
+        )
     return _with_new(memory, allowed, new_px, config)
 
 
