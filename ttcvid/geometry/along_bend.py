@@ -27,8 +27,7 @@ _LEAST_PART = 1e-6
 class Straightened:
     """An object in road coordinates: ``place (3,)`` and ``velocity (3,)`` relative to us, axes right, down, ahead.
 
-    Same unit of length as the input. The velocity is ``jacobian (3, 3)`` times that in the camera frame, plus a
-    constant.
+    Unit of length as given. The velocity is ``jacobian (3, 3)`` times that in the camera frame, plus a constant.
     """
 
     place: Floats

@@ -94,8 +94,7 @@ def fit_motion(
     """Rotation and direction: a point moves in the plane of its ray and the direction, by an unknown amount.
 
     The residual of a point is the least distance of its two rays from a common plane through the direction, the
-    square root of lambda_min(B'(pp' + qq')B) / sigma^2: chi-square with one degree of freedom, also close to the
-    epipole.
+    square root of lambda_min(B'(pp' + qq')B) / sigma^2: chi-square with one degree of freedom, near the epipole too.
 
     Parameters
     ----------

@@ -71,8 +71,7 @@ def fit_outline(
     block : ``(N,)`` ascending numbers; errors of different blocks are independent. The covariance is the jackknife's
         over blocks.
     n_independent : Number of independent outlines; the covariance is at least that of so many.
-    border_sigma : Constant error of the top and of the bottom, in the unit of ``outline``: where exactly the outline is
-        seen.
+    border_sigma : Constant error of the top and of the bottom, in the unit of ``outline``: where exactly that is seen.
 
     Source: jackknife as in Efron and Stein, Annals of Statistics, 1981.
     """

@@ -1,7 +1,6 @@
 """The image state (x, y, a, b, c) of points that move freely, each by all views of its track.
 
-A track is counted from its newest position (x0, y0): that shifts the picture plane, keeps the path's form, and saves
-digits.
+A track is counted from its newest position (x0, y0): that shifts the picture plane, keeps the form and saves digits.
 """
 
 from __future__ import annotations

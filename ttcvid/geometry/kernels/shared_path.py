@@ -156,8 +156,7 @@ def _fill_equations(
     Returns the sums of weighted squares, and of squares of which none counts for more than the robust limit.
 
     With h = 1 / (1 + rho T_z), d x / d(x, rho, T) = h (1, T_x - x T_z, rho (1, 0, -x)); T follows u as t, v as t^2 / 2
-    and w as t^3 / 6; a turn left in the views by t moves them as the ray (x, y, 1) does. Squares beyond the ``limit``
-    lose weight.
+    and w as t^3 / 6; a turn by t that is left over moves x and y as the ray does. Squares beyond ``limit`` lose weight.
     """
     # Derivatives of x and y, and what is left of them: some views at a time.
     rows, rho, total, inside = np.empty((_N_ALL + 1, 2, _ROOM)), s[2], 0.0, 0.0

@@ -12,8 +12,7 @@ from ttcvid.model import Floats
 def solve(matrix: Floats, right: Floats) -> float:
     """Turn ``right (N,)`` into the solution, by Cholesky's decomposition; return ``right . solution``.
 
-    Only the lower half of ``matrix (N, N)`` counts, and becomes its Cholesky factor. NaN where it is not positive
-    definite.
+    Only the lower half of ``matrix (N, N)`` counts, and becomes its Cholesky factor; NaN where not positive definite.
     """
     n, product = len(right), 0.0
     for j in range(n):

@@ -166,8 +166,7 @@ def _set_motion_rows(
         v0, v1 = p0 * a0 + p1 * a1 + p2 * a2, p0 * b0 + p1 * b1 + p2 * b2
         area = u0 * v1 - u1 * v0
         trace = u0 * u0 + u1 * u1 + v0 * v0 + v1 * v1
-        # Between the squared singular values. Where they are equal, on the epipole itself, the smaller has no
-        # derivative.
+        # Between the squared singular values. Where they are equal, on the epipole, the smaller has no derivative.
         gap = max(np.sqrt(max(trace * trace - 4.0 * area * area, 0.0)), _LEAST_GAP * trace, _TINY)
         largest = max(0.5 * (trace + gap), _TINY)
         scale = 1.0 / (np.sqrt(largest) * sigma[i])

@@ -67,8 +67,7 @@ def direction_chi2(one: Floats, other: Floats, covariance: Floats) -> Floats:
 
     Returns
     -------
-    ``(...)``. Infinite for directions in opposite half-spaces: the same line, travelled the other way, is another
-    motion.
+    ``(...)``. Infinite for directions in opposite half-spaces: the same line travelled the other way is another motion.
 
     >>> ahead, aside = np.array([0.0, 0.0, 1.0]), np.array([0.02, 0.0, 1.0])
     >>> direction_chi2(ahead, np.array([aside, -aside]), 0.01**2 * np.eye(3)).round(9)

@@ -37,8 +37,7 @@ _MOST_IN_CELL = 6
 # unknowns and one residual a track, they leave no residual: the noise would seem to vanish.)
 _LEAST_OF_TURN = 6
 # The gap of own motion grows until half of the tracks have this much flow, px, up to so many frames. A steady way
-# that asks for the longest gap steps so little that it leaves no third difference (6 step / k^2, k frames before a
-# collision).
+# that asks for the longest gap steps so little that it leaves no third difference (6 step / k^2, k before contact).
 _WANTED_FLOW_PX, _LONGEST_GAP = 2.5, 5
 _TINY_PX = 1e-6
 

@@ -3,8 +3,7 @@
 Short samples are spread over the whole clip, so that a drive that begins at a red light is a drive. A camera rests
 where the picture stays in place from one sample to the next, and few of them show a drive. It drives where translation
 within some degrees of the optical axis explains the flow as well as one elsewhere, over a ground that moves as it does
-below a car; a sample in which the camera only turns says nothing. Otherwise it moves freely, and there is no prior on
-its direction.
+below a car; a sample in which the camera only turns says nothing. Otherwise it moves freely: no prior on its direction.
 """
 
 from __future__ import annotations

@@ -25,8 +25,7 @@ from ttcvid.stages.tracking.history import TrackHistory
 
 # A track follows a path with a smaller reduced chi-square, and a step within so many sigmas.
 _GATE_REDCHI, _SIGMAS = 6.0, 3.0
-# A track is judged by this quantile of its squared residuals over its value by noise (chi-square, two degrees
-# of freedom).
+# A track is judged by this quantile of its squared residuals over that of noise (chi-square, two degrees of freedom).
 _SHARE, _SHARE_CHI2 = 0.6, 1.83
 # With fewer views than this a track follows any path.
 _LEAST_VIEWS = 4

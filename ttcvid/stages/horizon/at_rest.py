@@ -88,8 +88,7 @@ def _count(motions: Sequence[Motion]) -> int:
 def _picture_factors(motions: list[Motion], config: HorizonCalibrationConfig) -> Floats:
     """How many times the variances ``(K,)`` of epipoles from pictures are larger than their own scatter says.
 
-    Points of a body that is not quite rigid (people: their limbs, their clothes) err together, and the more the more
-    they scatter.
+    Points of a body that is not quite rigid (people: limbs, clothes) err together, and the more the more they scatter.
     """
     who = [(motion.clip, motion.mover, motion.evidence == TRACKS) for motion in motions]
     _, same, count = np.unique(who, axis=0, return_inverse=True, return_counts=True)

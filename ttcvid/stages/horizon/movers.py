@@ -9,8 +9,7 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.horizon.whole_tracks import Observations, usual_step_s
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
-# Each quarter of a track advances by more than the first share of its displacement, and deviates aside by less than the
-# second.
+# Each quarter of a track advances by more than the first share of its way, and deviates aside by less than the second.
 _LEAST_QUARTER, _MOST_ASIDE = 0.06, 0.2
 # Motions are compared over this time, s.
 _STEP_S = 0.4

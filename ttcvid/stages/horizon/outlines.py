@@ -34,12 +34,7 @@ _SURE_SIGMAS = 4.0
 
 
 def outline_motions(
-    rows: Observations,
-    silhouettes: Silhouettes,
-    camera: Camera,
-    config: HorizonCalibrationConfig,
-    *,
-    may_bend: bool,
+    rows: Observations, silhouettes: Silhouettes, camera: Camera, config: HorizonCalibrationConfig, *, may_bend: bool
 ) -> list[Motion]:
     """The motions of one mover, of these tracks in source pixels, from its outlines: two or more where its path bends.
 

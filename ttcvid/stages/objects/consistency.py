@@ -55,8 +55,7 @@ def with_consistent_covariances(
     At constant velocity the state V / Z follows from an earlier one and the camera's turn. As long as noise is all that
     is wrong, the expected reduced chi-square of the difference is at most one where states share most views, and the
     larger of two somewhat more where they share none (estimators of two and three frames). Outliers, wrong labels and
-    relative motion that changes make it larger. Its mean multiplies the covariance where it exceeds one (the Birge
-    ratio).
+    relative motion that changes make it larger. Its mean, if above one, multiplies the covariance (the Birge ratio).
 
     ``cluster_id`` has the number of each of the K states in the present frame of the ``history``.
     """

@@ -59,8 +59,7 @@ def joint_states(
     """State of the nearest surface of each of N objects that has one: the weighted mean over its tracks.
 
     The nearest surface has the largest inverse depth (speed / Z), for any direction of motion: 1 / ttc_z orders the
-    depths of approaching objects only. Errors common to all tracks shift all surfaces alike and do not count in their
-    separation.
+    depths of approaching objects only. Errors common to all tracks shift all surfaces alike and separate none.
 
     Parameters
     ----------

@@ -177,8 +177,7 @@ def _fill_free(
 def _free_covariances(found: WholeTracks, which: Bools, rotation_cov: Floats) -> Floats:
     """Covariances (M, 3, 3) of the velocities of free tracks: by their views, and by a turn left in these.
 
-    A turn that is not there moves a point as a velocity of (its rate, of covariance ``rotation_cov (3, 3)``) x (the
-    ray) would.
+    A turn that is not there moves a point as a velocity of (its rate, covariance ``rotation_cov (3, 3)``) x ray would.
     """
     information = found.info_w[which]
     regular = information + _ROUNDING * information * np.eye(3)

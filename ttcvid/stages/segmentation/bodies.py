@@ -20,8 +20,7 @@ _SCENE_TURN_RAD = float(np.radians(0.05))
 _TURN_RATE_RAD_S, SHIFT_RATE_HZ, _SHIFT_FLOOR = float(np.radians(10.0)), 0.3, 0.02
 # A body goes on as it did over so many views.
 _STEADY_VIEWS = 5
-# A velocity changes evenly for so long, s: a hand sways with periods of 2 to 5 s. Three terms leave scatter with four
-# views.
+# A velocity changes evenly for so long, s: a hand sways with periods of 2 to 5 s. Four leave scatter about three terms.
 _EVEN_S, _LEAST_EVEN = 0.4, 4
 ROUNDING_S = 1e-3
 """Presentation times are rounded to the clock of their container."""

@@ -177,8 +177,7 @@ def _costs(redchis: Floats, agreement: Floats, number: Ints, n_views: Ints, came
 
     By ``redchis, agreement (N, B)``, reduced chi-square over the median one and share of the neighbours as far as they
     are sure, and ``number, n_views (N,)``, former body and number of views. Before a camera at rest the trajectory of
-    the scene is exact: no label is rewarded, chi-squares are not capped. A swinging leg fits its body badly, and the
-    scene worse.
+    the scene is exact: no label is rewarded, no chi-square capped. A swinging leg fits its body badly, the scene worse.
     """
     heard = _NEIGHBOUR_WEIGHT * agreement
     if camera_rests:

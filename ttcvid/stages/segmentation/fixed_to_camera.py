@@ -27,8 +27,7 @@ _TINY = 1e-9
 
 
 def ride_odds(views: BodyViews, cam_R_past: Floats, *, scene_passes: bool = True) -> Floats:
-    """Log odds ``(N,)`` that each track is fixed to the camera, which has turned by ``cam_R_past (L, 3, 3)`` since each
-    view.
+    """Log odds ``(N,)`` that each track is fixed to the camera, turned by ``cam_R_past (L, 3, 3)`` since each view.
 
     Minus infinity for tracks that leave their pixel: by `_STAYS_PX` where the scene passes, else by what tracks err by
     in common. Of the others, the places as seen and the places without the rotations of the camera are compared: those

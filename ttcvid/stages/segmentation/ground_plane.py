@@ -34,8 +34,7 @@ _ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
 _CELL = 0.05
 # Least number of tracks on a ground plane, and their least share of the weight of all below the horizon.
 _LEAST_TRACKS, _LEAST_SHARE = 12, 0.3
-# The plane is fitted to observations of this time, s, and to at most so many: where there are more, older ones are
-# thinned out.
+# The plane is fitted to observations of this time, s, and to at most so many: older ones are thinned out.
 _SEEN_FOR_S, _MOST_SEEN = 1.0, 500
 # Prior standard deviation of the roll between camera and road, rad.
 _ROLL_SIGMA = 0.1

@@ -1,9 +1,9 @@
 """Segmentation of the tracks of a frame into the static scene and movers.
 
 The scene and each mover are rigid bodies with a relative trajectory. A track is assigned to the body that explains all
-of its views best, with a smoothness term over neighbours and one for its former label. Births of movers are proposed
-where neighbouring tracks contradict the scene and agree with each other; movers that are one are merged, one that is
-two is split.
+of its views best, with a smoothness term over neighbours and one for its former label. Births are proposed where
+neighbouring tracks contradict the scene and agree with each other; movers that are one are merged, one that is two is
+split.
 """
 
 from __future__ import annotations

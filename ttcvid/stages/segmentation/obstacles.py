@@ -25,8 +25,7 @@ REACHED_WITHIN_S = 6.0
 # A track counts from so many views on, with an inverse depth known to this part of that of its surface; a surface whose
 # own is known to the second part. Near our heading no single track tells much, those of a surface together do.
 _LEAST_VIEWS, _TOLD_PART, _KNOWN_PART = 4, 0.6, 0.15
-# Only what is known to this part puts a surface into our way. Without a road, on which things have a size, nothing else
-# counts at all.
+# Only what is known to this part puts a surface into our way. Without a road to give things a size, nothing else does.
 _WELL_TOLD = 0.25
 # Tracks of one surface have inverse depths within this part of its own, and so many of their standard deviations.
 _ONE_SURFACE, _SURFACE_SIGMAS = 0.12, 2.0

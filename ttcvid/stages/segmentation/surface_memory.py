@@ -52,8 +52,7 @@ def remembered(
             found = track_id[left_over.pop(again)]
             obstacles.append(replace(obstacle, track_id=found, n_found=obstacle.n_found + 1, n_missed=0))
             continue
-        # Those that a mover has taken, too: it may lose them again. What is seen to be of another surface is no part of
-        # this one.
+        # Those that a mover has taken, too: it may lose them again. What is of another surface is no part of this one.
         left = track_id[~is_seen & np.isin(track_id, obstacle.track_id)]
         if obstacle.n_missed < _REMEMBERED * config.forget_frames and len(left):
             obstacles.append(replace(obstacle, track_id=left, n_missed=obstacle.n_missed + 1))
