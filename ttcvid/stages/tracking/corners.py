@@ -72,8 +72,8 @@ def find_corners(
     First each cell of a grid of side ``min_distance_px`` gives at most its strongest corner, and none where a point
     stands in it or next to it; so plain regions get the few corners they have instead of a tree getting all. A part of
     what is wanted may stand closer, those first that stand out of their surroundings: a car far away is two cells wide,
-    an aircraft less. A small part: windows that overlap err together, and pass for several witnesses. Another part
-    goes first where the picture moves least, which is far away: there things are small, and tracks last.
+    an aircraft less. A small part: windows that overlap err together, and pass for several witnesses. Another part goes
+    first where the picture moves least, far away: things are small there (one of a hundred too close to close tracks).
 
     Parameters
     ----------
@@ -262,9 +262,9 @@ def _bare_cells(with_corner: tuple[Ints, Ints], taken: Bools) -> Bools:
 
 def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, ...], distance_px: float, n_wanted: int) -> Ints:
     """Which of the pixels (N,), best first, keep their distance from each other and from the points already there."""
-    # No two points that stand at `_CLOSE_PART` share a cell. Three more rows and columns on each side for neighbours.
-    cell_px = distance_px / (2.0 * np.sqrt(2.0))
-    grid = np.full((int(shape[0] / cell_px) + 7, int(shape[1] / cell_px) + 7, 2), np.inf)
+    cell_px = distance_px / np.sqrt(2.0)
+    # Two rows and columns more on each side, so that every cell has its neighbours.
+    grid = np.full((int(shape[0] / cell_px) + 5, int(shape[1] / cell_px) + 5, 2), np.inf)
     chosen = np.empty(n_wanted, dtype=np.int64)
     n = _choose(x.astype(np.float64), y.astype(np.float64), xy_taken_px, distance_px, cell_px, grid, chosen)
     return chosen[:n]
@@ -272,18 +272,18 @@ def _spread(x: Ints, y: Ints, xy_taken_px: Floats, shape: tuple[int, ...], dista
 
 @compiled_for("(f8[::1], f8[::1], f8[:, ::1], f8, f8, f8[:, :, ::1], i8[::1])")
 def _choose(x: Floats, y: Floats, taken: Floats, distance: float, cell: float, grid: Floats, chosen: Ints) -> int:
-    """Fills ``chosen`` by greedy choice; how many. ``grid`` holds one point a cell: two would be too close."""
+    """Fills ``chosen`` by greedy choice; how many. ``grid`` holds one point a cell, of close ones the last."""
     for k in range(len(taken)):
-        row, column = int(taken[k, 1] / cell) + 3, int(taken[k, 0] / cell) + 3
+        row, column = int(taken[k, 1] / cell) + 2, int(taken[k, 0] / cell) + 2
         grid[row, column, 0], grid[row, column, 1] = taken[k, 0], taken[k, 1]
     n = 0
     for k in range(len(x)):
         if n == len(chosen):
             break
-        row, column = int(y[k] / cell) + 3, int(x[k] / cell) + 3
+        row, column = int(y[k] / cell) + 2, int(x[k] / cell) + 2
         is_free = True
-        for i in range(row - 3, row + 4):
-            for j in range(column - 3, column + 4):
+        for i in range(row - 2, row + 3):
+            for j in range(column - 2, column + 3):
                 off_x, off_y = grid[i, j, 0] - x[k], grid[i, j, 1] - y[k]
                 if off_x * off_x + off_y * off_y < distance * distance:
                     is_free = False
