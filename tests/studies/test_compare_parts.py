@@ -107,6 +107,19 @@ def test_numbers_of_objects_and_tracks_do_not_matter():
     assert different(one, Results("renumbered", tables, FACTS, one.clock)) == ([], [])
 
 
+def test_a_time_of_which_only_the_interval_is_told_is_judged_by_its_middle():
+    one = whole_result()
+    eta_hz = 1.0 / one.tables["clusters"].ttc_z_s
+    clusters = one.tables["clusters"].assign(ttc_z_lo_s=1.0 / (eta_hz + 0.4), ttc_z_hi_s=1.0 / (eta_hz - 0.4))
+    assert (clusters.ttc_z_lo_s > clusters.ttc_z_hi_s).all()
+    one, untold = with_table(one, "clusters", clusters), clusters.assign(ttc_z_s=np.nan)
+    assert different(one, with_table(one, "clusters", untold)) == ([], [])
+    longer = untold.assign(**{f"ttc_z_{end}_s": 2.0 * clusters[f"ttc_z_{end}_s"] for end in ("lo", "hi")})
+    assert any(name.endswith(".ttc_z_s") for name in different(one, with_table(one, "clusters", longer))[0])
+    nothing = untold.assign(ttc_z_lo_s=np.nan, ttc_z_hi_s=np.nan)
+    assert any(name.endswith(".ttc_z_s") for name in different(one, with_table(one, "clusters", nothing))[0])
+
+
 def test_a_value_on_one_side_only_is_outside_of_every_tolerance():
     one = whole_result()
     changed = one.tables["frames"].copy()

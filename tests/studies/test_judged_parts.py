@@ -69,6 +69,16 @@ def test_an_interval_of_ttc_z_with_lo_over_hi_runs_through_infinity() -> None:
     assert relative_half_width("ttc_z", np.array([8.0]), lo[:1], hi[:1])[0] == pytest.approx(8 * (0.25 + 0.1) / 2)
 
 
+def test_an_interval_counts_whether_or_not_its_value_is_told() -> None:
+    numbers = judged(
+        "ttc_z",
+        [5.0, 3.9, 2.0, 2.0],
+        times("ttc_z", [NAN, NAN, 2.0, NAN], [4.0, 4.0, 1.9, NAN], [-10.0, -10.0, 2.1, NAN]),
+    )
+    assert (numbers["n"], numbers["share"]) == (1, 0.25)
+    assert numbers["coverage"] == pytest.approx(2 / 3)
+
+
 def test_an_end_that_is_null_is_unbounded() -> None:
     lo, hi = np.array([2.0, NAN]), np.array([NAN, 3.0])
     assert is_within("miss", np.array([99.0, 3.1]), lo, hi).tolist() == [True, False]
