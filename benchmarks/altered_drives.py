@@ -22,13 +22,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import av
 import cv2
 import numpy as np
+from real import done_in_order
 from real_clips.clips import DASHCAM, Clip, ClipDone, ClipTask, do_clip
-from real_clips.judging import duration_s
+from real_clips.judging import duration_s, warnings_told
 from report import REPOSITORY, Bar, Report
 from runs import data_folder, until_stopped
 from scenario_suite.figures import TEN_MINUTES_S, at_most
-from scenario_suite.page import NONE
-from scenario_suite.running import run_all
 
 from ttcvid.jobs.evaluate import read_run_tables
 from ttcvid.model import Picture
@@ -102,29 +101,22 @@ def do_drive(task: ClipTask, source: Path) -> ClipDone:
 
 def report_drives(report: Report, done: Sequence[ClipDone]) -> None:
     """Warnings of each drive, as it is and altered, and how many these are in ten minutes."""
-    told: dict[tuple[str, str], str] = {}
-    counts = {True: 0, False: 0}
-    spans_s = {True: 0.0, False: 0.0}
+    runs = {one.task.folder: read_run_tables(one.run()) for one in done if one.error is None}
+    rows: dict[str, list[str]] = {}
     for one in done:
-        key = one.task.clip.name, one.task.clip.setting
-        if one.error is not None:
-            told[key] = one.error
-            continue
-        run, is_altered = read_run_tables(one.run()), ALTERATIONS[one.task.clip.setting] is not None
-        counts[is_altered] += len(run.events)
-        spans_s[is_altered] += duration_s(run)
-        at = ", ".join(f"{row.min_ttc_z_s:.1f} s at {row.start_s:.1f} s" for row in run.events.itertuples())
-        told[key] = at or "0"
-    names = dict.fromkeys(name for name, _ in told)
-    rows = [[name, *(told.get((name, setting), NONE) for setting in ALTERATIONS)] for name in names]
-    report.table(["drive", *ALTERATIONS], rows)
+        run = runs.get(one.task.folder)
+        told = (warnings_told(run.events) or "0") if run else str(one.error)
+        rows.setdefault(one.task.clip.name, []).append(told)
+    report.table(["drive", *ALTERATIONS], [[name, *told] for name, told in rows.items()])
     for is_altered, name in ((False, "as they are"), (True, "altered")):
-        units = spans_s[is_altered] / TEN_MINUTES_S
-        if not units:
-            continue
-        report.figure(f"drives {name}: time", spans_s[is_altered], "s")
-        report.figure(f"drives {name}: false warnings in 10 min", counts[is_altered] / units, "", FALSE_WARNINGS_BAR)
-        report.figure(f"drives {name}: 95 % bound on that (Poisson)", at_most(counts[is_altered]) / units)
+        tasks = [one.task for one in done if (ALTERATIONS[one.task.clip.setting] is not None) == is_altered]
+        of_kind = [runs[task.folder] for task in tasks if task.folder in runs]
+        span_s, n_warnings = sum(map(duration_s, of_kind)), sum(len(run.events) for run in of_kind)
+        report.figure(f"drives {name}: time", span_s, "s")
+        if of_kind:
+            units = span_s / TEN_MINUTES_S
+            report.figure(f"drives {name}: false warnings in 10 min", n_warnings / units, "", FALSE_WARNINGS_BAR)
+            report.figure(f"drives {name}: 95 % bound on that (Poisson)", at_most(n_warnings) / units)
 
 
 def main() -> None:
@@ -141,10 +133,7 @@ def main() -> None:
             folder = source if alteration is None else arguments.out / "clips" / setting
             clip = Clip(name, f"{name}.mp4", setting, {"platform": "vehicle"})
             tasks.append(ClipTask(clip, folder, arguments.out))
-    done = {}
-    for one in run_all(tasks, arguments.jobs, partial(do_drive, source=source)):
-        print(f"{one.task.clip.name}, {one.task.clip.setting}  {one.seconds:.0f} s  {one.error or ''}", flush=True)
-        done[one.task.folder] = one
+    done = done_in_order(tasks, arguments.jobs, partial(do_drive, source=source))
     report = Report()
     report.say(
         "Five drives of unknown cameras (`--platform vehicle`) without a collision: every warning is a false one. "
@@ -152,7 +141,7 @@ def main() -> None:
         "the left, 0.8 times as large, encoded with crf 28, or begun 11 pictures later they are new to them, though "
         "not independent of each other. A warning is told with its smallest time, and when it came."
     )
-    report_drives(report, [done[task.folder] for task in tasks])
+    report_drives(report, done)
     if arguments.write_docs:
         report.write_docs("altered_drives.md", "Real drives, altered")
 

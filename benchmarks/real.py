@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 # One thread of linear algebra in each process: set before numpy is loaded.
@@ -23,9 +23,13 @@ from scenario_suite.running import run_all
 
 def analyzed_clips(out: Path, n_jobs: int, only: str = "") -> Sequence[ClipDone]:
     """All clips whose name contains ``only``, analysed below ``out``, in their own order."""
-    tasks = [ClipTask(clip, data_folder(), out) for clip in CLIPS if only in clip.name]
+    return done_in_order([ClipTask(clip, data_folder(), out) for clip in CLIPS if only in clip.name], n_jobs, do_clip)
+
+
+def done_in_order(tasks: Sequence[ClipTask], n_jobs: int, work: Callable[[ClipTask], ClipDone]) -> Sequence[ClipDone]:
+    """The tasks done side by side, each told as it is finished, in the order that they were given in."""
     done = {}
-    for one in run_all(tasks, n_jobs, do_clip):
+    for one in run_all(tasks, n_jobs, work):
         print(f"{one.task.clip.name} ({one.task.clip.setting})  {one.seconds:.0f} s  {one.error or ''}", flush=True)
         done[one.task.folder] = one
     return [done[task.folder] for task in tasks]

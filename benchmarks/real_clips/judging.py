@@ -112,7 +112,6 @@ def _warnings(report: Report, done: Sequence[ClipDone]) -> None:
             run = read_run_tables(one.run())
             span_s, n = duration_s(run), len(run.events)
             total_s, total = total_s + span_s, total + n
-            least = ", ".join(f"{ttc_s:.1f} s at {start_s:.1f} s" for ttc_s, start_s in _told(run.events))
             objects = run.clusters[run.clusters.role == "object"]
             ids_a_minute = 60.0 * objects.cluster_id.nunique() / span_s
             rows.append(
@@ -123,7 +122,7 @@ def _warnings(report: Report, done: Sequence[ClipDone]) -> None:
                     str(n),
                     _rate(n, span_s),
                     number(ids_a_minute),
-                    least or NONE,
+                    warnings_told(run.events) or NONE,
                 ]
             )
         if total_s:
@@ -132,8 +131,9 @@ def _warnings(report: Report, done: Sequence[ClipDone]) -> None:
     report.table(header, rows)
 
 
-def _told(events: pd.DataFrame) -> list[tuple[float, float]]:
-    return [(float(row.min_ttc_z_s), float(row.start_s)) for row in events.itertuples()]
+def warnings_told(events: pd.DataFrame) -> str:
+    """The smallest time of each warning, and when it came; empty without any."""
+    return ", ".join(f"{row.min_ttc_z_s:.1f} s at {row.start_s:.1f} s" for row in events.itertuples())
 
 
 def _rate(n: int, span_s: float) -> str:

@@ -40,7 +40,7 @@ _HALF_WINDOW_PX, _HARRIS_K = 7, 0.05
 _AROUND_PX = 65
 # What is around a grid cell is a square of so many, the size of the smallest things that bear an object. Where less
 # than this part of the corners in it is followed, something new is to be seen.
-_AROUND_CELLS, _BARE_PART = 5, 0.5
+_AROUND_CELLS, _BARE_PART = (5, 5), 0.5
 # Close corners stand this part of the full distance apart.
 _CLOSE_PART = 0.57
 
@@ -64,6 +64,7 @@ def find_corners(
     xy_taken_px: Floats,
     n_wanted: int,
     config: TrackingConfig,
+    *,
     only_new_places: bool = False,
     step_px: Floats | None = None,
 ) -> Floats:
@@ -111,14 +112,15 @@ def find_corners(
     keeps[KDTree(xy).query_pairs(min_distance_px, output_type="ndarray").max(axis=1)] = False
     if only_new_places:
         return xy[keeps][:n_wanted]
-    step_px = np.full_like(xy_taken_px, np.nan) if step_px is None else step_px
-    is_known = np.isfinite(step_px[:, 0])
+    is_known = np.zeros(0, dtype=bool) if step_px is None else np.isfinite(step_px[:, 0])
     n_close = int(config.close_share * n_wanted)
     n_far = min(int(config.far_share * n_wanted), n_wanted - n_close) if is_known.any() else 0
     xy = xy[keeps][: n_wanted - n_close - n_far]
-    standing_out = response[y, x] / (_mean_around(response, x, y) + threshold)
-    more = [(-standing_out, _CLOSE_PART * min_distance_px, n_close)]
-    if n_far:
+    more = list[tuple[Floats, float, int]]()
+    if n_close:
+        standing_out = response[y, x] / (_mean_around(response, x, y) + threshold)
+        more.append((-standing_out, _CLOSE_PART * min_distance_px, n_close))
+    if step_px is not None and n_far:
         flow_px = _flow_of_cells(xy_taken_px[is_known], step_px[is_known], taken.shape, min_distance_px)
         more.append((flow_px[cell], min_distance_px, n_far))
     for rank, distance_px, n in more:
@@ -133,8 +135,7 @@ def _flow_of_cells(xy_px: Floats, step_px: Floats, shape: tuple[int, ...], cell_
     column, row = (xy_px / cell_px).astype(np.intp).T
     cell, n_cells = row * shape[1] + column, shape[0] * shape[1]
     sums = (np.bincount(cell, weight, n_cells).reshape(shape) for weight in (length_px, np.ones(len(cell))))
-    around = (_AROUND_CELLS, _AROUND_CELLS)
-    length, n_steps = (np.asarray(cv2.boxFilter(one, -1, around, normalize=False), np.float64) for one in sums)
+    length, n_steps = (np.asarray(cv2.boxFilter(one, -1, _AROUND_CELLS, normalize=False), np.float64) for one in sums)
     return quotient(length, np.rint(n_steps))
 
 
@@ -255,8 +256,8 @@ def _bare_cells(with_corner: tuple[Ints, Ints], taken: Bools) -> Bools:
     """Cells (like ``taken``) around which fewer than half of those ``with_corner``, rows and columns, are taken."""
     corners = np.zeros(taken.shape, dtype=np.float32)
     corners[with_corner] = 1.0
-    around = (_AROUND_CELLS, _AROUND_CELLS)
-    n_corners, n_taken = (cv2.boxFilter(cells, -1, around, normalize=False) for cells in (corners, corners * taken))
+    both = corners, corners * taken
+    n_corners, n_taken = (cv2.boxFilter(cells, -1, _AROUND_CELLS, normalize=False) for cells in both)
     return np.asarray(n_taken < _BARE_PART * n_corners)
 
 

@@ -390,9 +390,8 @@ def _topped_up(memory: KltMemory, allowed: Picture | None, config: TrackingConfi
         new_px = find_corners_where(grey, where, windows_px, n_wanted, config.min_distance_px)
     else:
         n_wanted = config.max_tracks - n_live
-        new_px = find_corners(
-            grey, allowed, windows_px, n_wanted, config, has_many, None if camera_rests else memory.step_px
-        )
+        last_px = None if camera_rests else memory.step_px
+        new_px = find_corners(grey, allowed, windows_px, n_wanted, config, only_new_places=has_many, step_px=last_px)
     return _with_new(memory, allowed, new_px, config)
 
 
