@@ -96,10 +96,10 @@ def _stage(file: str) -> tuple[str, ...]:
 
 RULES: dict[str, Rule] = {
     "road": Rule(
-        "the plane of the road",
+        "the road under us",
         "ground",
-        {"stages.segmentation.ground_plane.find_road": _none},
-        _stage("segmentation/ground_plane"),
+        {"stages.segmentation.road.find_road": _none},
+        (*_stage("segmentation/road"), *_stage("segmentation/road_evidence")),
     ),
     "ground_contact": Rule(
         "what would lie under the road or hangs over it moves",

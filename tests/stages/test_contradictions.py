@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ttcvid.config import BodiesConfig
-from ttcvid.stages.segmentation import births, ground_plane, merges
+from ttcvid.stages.segmentation import births, merges, road
 from ttcvid.stages.segmentation.data_association import Movers
 
 N, K = 80, 5
@@ -50,14 +50,15 @@ def test_movers_touch_where_a_track_of_one_is_beside_a_track_of_the_other():
 
 
 def test_the_plane_of_a_road_is_that_of_most_points_below_the_horizon():
-    rng, road_hz = np.random.default_rng(2), np.array([0.02, 0.0, 1.0])
+    rng, plane = np.random.default_rng(2), np.array([0.005, 0.0, 1.0])
     place = rng.uniform((-0.6, 0.1), (0.6, 0.4), (N, 2))
-    rate_hz = road_hz[0] + place @ road_hz[1:]
+    rate_hz = plane[0] + place @ plane[1:]
     rate_hz[: N // 3] *= 1.3
-    start = np.array([0.0, 0.0, 1.05])
-    seen = ground_plane.RoadPoints(place, rate_hz, np.ones(N), np.arange(N), np.zeros(N))
-    np.testing.assert_allclose(ground_plane._fitted_plane(seen, start), road_hz, atol=1e-12)
-    few = ground_plane.RoadPoints(place[-8:], rate_hz[-8:], np.ones(8), np.arange(8), np.zeros(8))
-    assert ground_plane._fitted_plane(few, start) is None
+    start = road.Road(np.array([0.0, 0.0, 1.05]))
+    seen = road.RoadPoints(place, rate_hz, np.ones(N), np.arange(N), np.zeros(N))
+    # But for the priors.
+    np.testing.assert_allclose(road._fitted_road(seen, start).plane, plane, atol=2e-3)
+    few = road.RoadPoints(place[-8:], rate_hz[-8:], np.ones(8), np.arange(8), np.zeros(8))
+    assert road._fitted_road(few, start) is None
     others_weigh_more = replace(seen, weight=np.where(np.arange(N) < N // 3, 9.0, 1.0))
-    assert ground_plane._fitted_plane(others_weigh_more, start) is None
+    assert road._fitted_road(others_weigh_more, start) is None

@@ -13,6 +13,7 @@ from ttcvid.geometry.camera.pinhole import pixels_from_rays
 from ttcvid.model import SCENE_MOTION, MotionState
 from ttcvid.stages.objects.clusters import with_times
 from ttcvid.stages.segmentation.own_turn import OwnBend
+from ttcvid.stages.segmentation.road import Road
 from ttcvid.stages.warnings.course import Viewpoint, course_of
 
 
@@ -242,7 +243,7 @@ def low_part(offset_m, z_m=15.0):
 
 def test_what_passes_below_the_camera_on_the_road_hits_our_car():
     """Of somebody who walks onto the road only the legs may be told from the background; an aircraft passes below."""
-    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=np.array([0.0, 0.0, 8.0 / 1.5]))
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road=Road(np.array([0.0, 0.0, 8.0 / 1.5])))
     assert is_course(low_part(0.0), on_ground=True, bend=bend)
     assert not is_course(low_part(0.0))
     assert not is_course(low_part(2.5), on_ground=True, bend=bend)
@@ -348,25 +349,25 @@ def test_what_ends_far_below_or_begins_far_above_is_not_hit(side):
 
 
 @pytest.mark.parametrize("motion_id", [SCENE_MOTION, 1])
-@pytest.mark.parametrize("road_hz", [None, np.array([0.0, 0.0, 10.0])])
-def test_on_the_road_what_stands_is_warned_of_where_a_road_is_found(motion_id, road_hz):
+@pytest.mark.parametrize("road", [None, Road(np.array([0.0, 0.0, 10.0]))])
+def test_on_the_road_what_stands_is_warned_of_where_a_road_is_found(motion_id, road):
     """A bridge or trees beside the road come at us like a wall as long as nobody knows where the road is."""
     row = replace(row_of((0.0, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005), motion_id=motion_id)
-    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=road_hz)
-    is_told = motion_id != SCENE_MOTION or road_hz is not None
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road=road)
+    is_told = motion_id != SCENE_MOTION or road is not None
     assert is_course(row, on_ground=True, bend=bend) == is_told
     assert is_course(row, on_ground=False, bend=bend)
 
 
-@pytest.mark.parametrize("road_hz", [None, np.array([0.0, 0.0, 10.0])])
+@pytest.mark.parametrize("road", [None, Road(np.array([0.0, 0.0, 10.0]))])
 @pytest.mark.parametrize("motion_id", [SCENE_MOTION, 1])
-def test_what_we_would_run_over_is_warned_of_where_a_road_is_found(motion_id, road_hz):
+def test_what_we_would_run_over_is_warned_of_where_a_road_is_found(motion_id, road):
     """Where what drives with us is taken for the scene, road markings become a mover that comes at us."""
-    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=road_hz)
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road=road)
     flat, upright = (standing(2.0, height_m, 1.2, 1.5 - 0.5 * height_m) for height_m in (0.4, 1.7))
     flat, upright = (replace(row, motion_id=motion_id) for row in (flat, upright))
-    assert is_course(flat, on_ground=True, bend=bend) == (road_hz is not None)
-    assert is_course(upright, on_ground=True, bend=bend) == (motion_id != SCENE_MOTION or road_hz is not None)
+    assert is_course(flat, on_ground=True, bend=bend) == (road is not None)
+    assert is_course(upright, on_ground=True, bend=bend) == (motion_id != SCENE_MOTION or road is not None)
 
 
 def test_on_the_road_nothing_that_stands_is_warned_of_before_it_is_known_how_we_drive():
@@ -376,7 +377,7 @@ def test_on_the_road_nothing_that_stands_is_warned_of_before_it_is_known_how_we_
 
 def test_what_stands_far_ahead_may_be_steered_past_and_what_drives_before_us_follows_the_road():
     """At 10 m/s: 0.15 heights of the camera / s^2 take us aside by 1.4 m in 3.8 s, by 0.4 m in 2 s, about as likely."""
-    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=np.array([0.0, 0.0, 10.0 / 1.3]))
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road=Road(np.array([0.0, 0.0, 10.0 / 1.3])))
     far, near = (
         course_of(
             replace(car_ahead(0.0, z_m), motion_id=SCENE_MOTION), Viewpoint(CAMERA, on_ground=True, bend=bend), CONFIG
@@ -393,7 +394,7 @@ def test_what_stands_far_ahead_may_be_steered_past_and_what_drives_before_us_fol
 @pytest.mark.parametrize("box_px", [(400.0, 100.0, 500.0, np.nan)])
 @pytest.mark.parametrize("velocity_m_s", [(0.0, 0.0, -10.0), (-10.0, 0.0, 0.0)])
 def test_a_foot_that_is_not_seen_and_what_does_not_come_nearer_have_a_probability(box_px, velocity_m_s):
-    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road_hz=np.array([0.0, 0.0, 8.0]))
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road=Road(np.array([0.0, 0.0, 8.0])))
     row = row_of((3.0, 0.0, 20.0), velocity_m_s, relative_sigma=0.005)
     for box in (box_px, row.box_px):
         known = replace(row, motion_id=SCENE_MOTION, motion_state=MotionState.approaching, box_px=box)

@@ -14,7 +14,7 @@ from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.diverging_flow import expanding_movers, least_tracks
 from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
-from ttcvid.stages.segmentation.ground_plane import RoadMemory
+from ttcvid.stages.segmentation.road_evidence import RoadMemory
 from ttcvid.stages.segmentation.scene import SeenScene
 
 CONFIG, LINK_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1

@@ -6,6 +6,7 @@ from relative_motion import CAMERA, FOCAL_PX
 from rigid_worlds import LINK_PX, Thing, bodies_of, car
 
 from ttcvid.stages.segmentation.ground_contact import OnGround, find_contacts
+from ttcvid.stages.segmentation.road import Road
 
 SPEED_M_S, CAMERA_M = 10.0, 1.4
 BUMPS_RAD = float(np.radians(0.05))
@@ -39,8 +40,8 @@ def contacts_of(ground, *things, apparent=(), sigma_hz=0.002, camera_m=CAMERA_M)
     rate_hz = np.array([1.0, *apparent])[part] * SPEED_M_S / position[:, 2]
     place, n = position[:, :2] / position[:, 2:], len(position)
     xy_px = place * FOCAL_PX + (CAMERA.cx_px, CAMERA.cy_px)
-    slope_hz, known = SPEED_M_S / camera_m, np.ones(n, dtype=bool)
-    seen = OnGround(place, rate_hz, np.full(n, sigma_hz), slope_hz * place[:, 1], slope_hz, known, 0.0)
+    level = Road(np.array([0.0, 0.0, SPEED_M_S / camera_m]))
+    seen = OnGround(place, rate_hz, np.full(n, sigma_hz), level, np.ones(n, dtype=bool), 0.0)
     found = find_contacts(xy_px, LINK_PX, seen, np.zeros(n, dtype=int))
     is_thing = found.thing >= 0
     odd, borne = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)

@@ -9,6 +9,7 @@ from relative_motion import box_of_points
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path
+from ttcvid.stages.segmentation.road import Road
 
 CONFIG = BodiesConfig()
 FOCAL_PX, LINK_PX, DT_S, N_VIEWS = 500.0, 32.0, 0.05, 20
@@ -33,7 +34,7 @@ def road(rng, n=150):
     return np.column_stack([rng.uniform(-0.4, 0.4, n) * depth_m, np.full(n, CAMERA_M), depth_m])
 
 
-ROAD_PLANE = np.array([0.0, 0.0, SPEED_M_S / CAMERA_M])
+LEVEL_ROAD = Road(np.array([0.0, 0.0, SPEED_M_S / CAMERA_M]))
 
 
 def points_of(position_m, rng, noise=0.01, track_id=None):
@@ -48,7 +49,7 @@ def points_of(position_m, rng, noise=0.01, track_id=None):
 def watched(
     position_m,
     frames=FOUND_IN,
-    plane=ROAD_PLANE,
+    ground=LEVEL_ROAD,
     on_ground=True,
     yaw_rad_s=0.0,
     speed_m_s=SPEED_M_S,
@@ -59,7 +60,7 @@ def watched(
     for k in range(frames):
         now = position_m - np.array([0.0, 0.0, speed_m_s * DT_S * k])
         public, memory, next_id = find_obstacles(
-            memory, points_of(now, rng), way, plane, next_id, CONFIG, on_ground=on_ground
+            memory, points_of(now, rng), way, ground, next_id, CONFIG, on_ground=on_ground
         )
     return public
 
@@ -150,10 +151,10 @@ def test_what_looks_near_but_hangs_over_the_road_is_none(rng):
 def test_a_lorry_is_still_there_when_its_low_tracks_are_lost(rng):
     """They leave the picture, or a car cuts in; the others hang."""
     speed_m_s, still_there = 25.0, 15
-    lorry, way, plane = (
+    lorry, way, level = (
         box_of_points(rng, 30, (0.0, -0.1, 60.0), (2.4, 2.6, 0.0)),
         own_path(driven(), SINCE_S),
-        ROAD_PLANE,
+        LEVEL_ROAD,
     )
     ground, noise, memory, next_id, public = road(rng), np.random.default_rng(3), (), 1, {}
     track_id = np.arange(len(ground) + len(lorry))
@@ -163,8 +164,8 @@ def test_a_lorry_is_still_there_when_its_low_tracks_are_lost(rng):
         is_seen = (now[:, 2] > 2.0) & (is_high | (k < still_there))
         points = points_of(now[is_seen], noise, track_id=track_id[is_seen])
         points = replace(points, fit=replace(points.fit, rate_hz=points.fit.rate_hz * speed_m_s / SPEED_M_S))
-        road_plane = plane * speed_m_s / SPEED_M_S
-        public, memory, next_id = find_obstacles(memory, points, way, road_plane, next_id, CONFIG, on_ground=True)
+        at_speed = level.at_speed(speed_m_s / SPEED_M_S)
+        public, memory, next_id = find_obstacles(memory, points, way, at_speed, next_id, CONFIG, on_ground=True)
     assert list(public) == [1]
 
 
@@ -188,7 +189,7 @@ def test_a_stopped_car_is_found_by_tracks_that_tell_its_depth_only_together(rng)
         seen = replace(points, fit=replace(fit, rate_hz=rate_hz, rate_sigma_hz=sigma_hz))
         memory, next_id, public = (), 1, {}
         for _ in range(FOUND_IN):
-            public, memory, next_id = find_obstacles(memory, seen, way, ROAD_PLANE, next_id, CONFIG, on_ground=True)
+            public, memory, next_id = find_obstacles(memory, seen, way, LEVEL_ROAD, next_id, CONFIG, on_ground=True)
         n_found += any(np.isin(members, own).sum() > 8 for members in public.values())
     assert n_found >= 16
 
@@ -200,7 +201,7 @@ def test_a_parked_car_at_the_roadside_is_none(rng, aside_m):
 
 def test_the_road_alone_is_none(rng):
     assert watched(road(rng, 400)) == {}
-    assert watched(road(rng, 400), plane=None) == {}
+    assert watched(road(rng, 400), ground=None) == {}
 
 
 def test_a_wall_along_our_way_is_none(rng):
@@ -212,7 +213,7 @@ def test_a_wall_along_our_way_is_none(rng):
 def test_a_bridge_over_our_road_is_none(rng):
     bridge = box_of_points(rng, 60, (0.0, -3.6, 35.0), (20.0, 1.0, 0.0))
     assert watched(np.concatenate([road(rng), bridge])) == {}
-    assert watched(bridge, plane=None) == {}
+    assert watched(bridge, ground=None) == {}
 
 
 def test_a_bridge_with_its_pillars_is_none(rng):
@@ -242,7 +243,7 @@ def test_what_is_reached_in_ten_seconds_is_none_yet(rng):
 
 def test_an_aircraft_head_on_is_one_with_the_four_tracks_that_it_has():
     aircraft = np.array([[-2.2, 0.1, 36.0], [2.2, 0.1, 36.0], [0.0, 0.3, 35.5], [0.7, 0.2, 35.7]])
-    public = watched(aircraft, plane=None, on_ground=False)
+    public = watched(aircraft, ground=None, on_ground=False)
     assert [len(members) for members in public.values()] == [4]
 
 
@@ -285,7 +286,7 @@ def test_an_obstacle_keeps_its_number_while_its_tracks_change_and_over_short_gap
         # Every other frame one of its tracks ends and another begins; in three frames it is not seen at all.
         kept = np.arange(k // 2, k // 2 + 12)
         points = points_of(now[kept] if k not in (20, 21, 22) else now[kept] + [9.0, 0.0, 0.0], noise, track_id=kept)
-        public, memory, next_id = find_obstacles(memory, points, way, ROAD_PLANE, next_id, CONFIG, on_ground=True)
+        public, memory, next_id = find_obstacles(memory, points, way, LEVEL_ROAD, next_id, CONFIG, on_ground=True)
         numbers += list(public)
     assert set(numbers) == {7}
     assert len(numbers) >= 40 - FOUND_IN - 3
@@ -298,7 +299,7 @@ def test_an_obstacle_keeps_its_number_over_frames_in_which_we_do_not_move_ahead(
     for k in range(20):
         way = None if k in (12, 13, 14) else own_path(driven(), SINCE_S)
         points = points_of(car - np.array([0.0, 0.0, SPEED_M_S * DT_S * k]), noise)
-        public, memory, next_id = find_obstacles(memory, points, way, ROAD_PLANE, next_id, CONFIG, on_ground=True)
+        public, memory, next_id = find_obstacles(memory, points, way, LEVEL_ROAD, next_id, CONFIG, on_ground=True)
         numbers.append(list(public))
     assert numbers[11] == numbers[15] == numbers[19] == [7]
     assert next_id == 8

@@ -9,6 +9,7 @@ from watched_rows import FRAME_S, first_warned, row_of, watched
 
 from ttcvid.geometry.rotation import rotation_from_vector
 from ttcvid.stages.segmentation.own_turn import OwnBend, own_bend
+from ttcvid.stages.segmentation.road import Road
 from ttcvid.stages.tracking.history import empty_history
 
 CAMERA_M, RADIUS_M, OWN_M_S = 1.4, 50.0, 9.0
@@ -17,7 +18,7 @@ AHEAD = np.array([0.0, 0.0, 1.0])
 
 def bend_to(side, radius_m=RADIUS_M, own_m_s=OWN_M_S):
     """Our bend with a level road."""
-    return OwnBend(AHEAD, side * own_m_s / radius_m, np.array([0.0, 0.0, own_m_s / CAMERA_M]))
+    return OwnBend(AHEAD, side * own_m_s / radius_m, Road(np.array([0.0, 0.0, own_m_s / CAMERA_M])))
 
 
 def on_our_circle(side, off_m, angle_rad, speed_m_s, length_m=0.0, own_m_s=OWN_M_S):

@@ -11,7 +11,7 @@ from ttcvid.geometry.rotation import normalize
 from ttcvid.stages.segmentation import scene as scene_module
 from ttcvid.stages.segmentation import speed_changes
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence
+from ttcvid.stages.segmentation.road_evidence import RoadMemory, gathered_evidence
 from ttcvid.stages.segmentation.speed_changes import change_speed
 
 FOCAL_PX, SIGMA_PX, N_VIEWS, DT_S = 700.0, 0.2, 20, 0.05
@@ -166,12 +166,12 @@ def test_evidence_of_a_change_goes_with_its_track_and_fades():
         return gathered_evidence(memory, np.array(track_id), views, fit_of(views), key, in_scene, aim)
 
     memory = replace(next_frame(RoadMemory(), [3, 5, 8, 9]), by_speed=np.array([0.0, 1.0, 0.0, 1.0]))
-    np.testing.assert_array_equal(memory.against_scene, [0.0, 1.0, 0.0, 1.0])
+    np.testing.assert_array_equal(np.maximum(memory.evidence, memory.by_speed), [0.0, 1.0, 0.0, 1.0])
     memory = next_frame(memory, [5, 6, 9, 12])
-    np.testing.assert_allclose(memory.against_scene, [0.8, 0.0, 0.8, 0.0])
+    np.testing.assert_allclose(np.maximum(memory.evidence, memory.by_speed), [0.8, 0.0, 0.8, 0.0])
     for _ in range(3):
         memory = next_frame(memory, [5, 6, 9, 12])
-    assert (memory.against_scene < scene_module._ENOUGH_EVIDENCE).all()
+    assert (np.maximum(memory.evidence, memory.by_speed) < scene_module._ENOUGH_EVIDENCE).all()
 
 
 def test_a_track_that_shows_it_does_not_fit_the_scene():

@@ -67,11 +67,6 @@ class PathBeliefs:
             turn_sigma_rad_s=turn_sigma_rad_s,
         )
 
-    def bend_cov(self) -> Floats:
-        """Covariance (K, 3, 3) of the acceleration over the speed."""
-        along = self.direction[:, :, None] * self.direction[:, None, :]
-        return np.asarray(along * self.along_sigma_hz**2 + (np.eye(3) - along) * self.across_sigma_hz**2)
-
 
 @dataclass(frozen=True)
 class SharedPaths:
@@ -119,7 +114,8 @@ def believed_paths(beliefs: PathBeliefs) -> SharedPaths:
     count = len(beliefs.direction)
     cov = np.zeros((count, N_SHARED, N_SHARED))
     cov[:, :3, :3] = beliefs.direction_cov
-    cov[:, 3:6, 3:6] = beliefs.bend_cov()
+    along = beliefs.direction[:, :, None] * beliefs.direction[:, None, :]
+    cov[:, 3:6, 3:6] = along * beliefs.along_sigma_hz**2 + (np.eye(3) - along) * beliefs.across_sigma_hz**2
     cov[:, 6:9, 6:9] = beliefs.turn_sigma_rad_s**2 * np.eye(3)
     cov[:, 9:, 9:] = beliefs.change_sigma_hz2**2 * np.eye(3)
     offset, left = np.zeros((count, N_SHARED)), np.zeros(count)
@@ -229,12 +225,6 @@ def _times(matrices: Floats, vectors: Floats) -> Floats:
     return np.asarray((matrices @ vectors[..., None])[..., 0])
 
 
-def _of_plane(basis: Floats, cov: Floats) -> Floats:
-    """Covariances (K, 2, 2) along the first two axes of K matrices (K, 3, 3), which may lie in a plane."""
-    across = basis[:, :, :2]
-    return np.asarray(across.transpose(0, 2, 1) @ cov @ across + _LEAST_SIGMA_RAD**2 * np.eye(2))
-
-
 def _to_camera(basis: Floats) -> Floats:
     """Matrices (K, 12, 11) that take what the points of a path share from its own axes to those of the camera."""
     columns = np.zeros((len(basis), N_SHARED, N_LOCAL))
@@ -249,7 +239,9 @@ def _prior(beliefs: PathBeliefs, basis: Floats) -> Floats:
     change = beliefs.change_sigma_hz2
     prior = np.zeros((len(basis), N_LOCAL, N_LOCAL))
     prior[:] = np.diag(np.array([1.0, 1.0, across, across, along, *3 * [change], *3 * [turn]]) ** -2.0)
-    prior[:, _U, _U] = np.linalg.inv(_of_plane(basis, beliefs.direction_cov))
+    plane = basis[:, :, :2]
+    direction_cov = plane.transpose(0, 2, 1) @ beliefs.direction_cov @ plane
+    prior[:, _U, _U] = np.linalg.inv(direction_cov + _LEAST_SIGMA_RAD**2 * np.eye(2))
     return prior
 
 

@@ -75,7 +75,10 @@ class TurningBody:
     @property
     def path_cov(self) -> Floats:
         """Covariance (9, 9) of the first and second derivative of that path at time 0, and of the turn."""
-        jacobian = _slopes(self.centre, self.shared)
+        # By central differences.
+        off = _STEP * np.eye(9)
+        after, before = _normalized(self.centre, self.shared + np.stack([off, -off]))[0]
+        jacobian = (after - before).T / (2.0 * _STEP)
         return np.asarray(jacobian @ self.cov @ jacobian.T)
 
 
@@ -170,10 +173,3 @@ def _normalized(centre: Floats, shared: Floats) -> tuple[Floats, Floats]:
     length = np.linalg.norm(start, axis=-1, keepdims=True)
     bend = acceleration - cross(turn, across + 2.0 * start)
     return np.concatenate([start / length, bend / length, turn], axis=-1), length[..., 0]
-
-
-def _slopes(centre: Floats, shared: Floats) -> Floats:
-    """Derivatives (9, 9) of `_normalized`, by central differences."""
-    off = _STEP * np.eye(9)
-    after, before = _normalized(centre, shared + np.stack([off, -off]))[0]
-    return np.asarray((after - before).T / (2.0 * _STEP))

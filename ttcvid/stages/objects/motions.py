@@ -18,7 +18,7 @@ from ttcvid.model import NO_CLUSTER, SCENE_CLUSTER, Bools, Camera, Floats, Image
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane
 from ttcvid.stages.objects.clusters import ClusterMotion
-from ttcvid.stages.objects.surface_motions import growing_things, in_our_way, on_plane, road_hz
+from ttcvid.stages.objects.surface_motions import growing_things, in_our_way, on_plane, road_at_own_speed
 from ttcvid.stages.segmentation.bodies import direction_of_last_step
 from ttcvid.stages.segmentation.body_views import WORST_REDCHI, body_views
 from ttcvid.stages.segmentation.data_association import numbers_of
@@ -101,7 +101,7 @@ def find_motions(
         obstacles, memory = in_our_way(history, egomotion, found, is_left, memory, link_px, config)
         surfaces = [on_plane(one, plane, camera) for one in [*surfaces, *obstacles]]
         if config.egomotion.platform == Platform.vehicle:
-            bend = own_bend(history, egomotion.direction, road_hz(memory, found, history))
+            bend = own_bend(history, egomotion.direction, road_at_own_speed(memory, found, history))
         objects = sorted([*objects, *surfaces], key=lambda motion: motion.cluster_id)
         for surface in surfaces:
             in_scene[surface.members] = False
@@ -179,7 +179,9 @@ def _directions(
     """
     if not members:
         return np.empty((0, 3)), np.empty((0, 3, 3))
-    middle = np.array([_middle(history.xy[history.now, index]) for index in members])
+    # Where a track is not seen its place is not known.
+    places = (history.xy[history.now, index] for index in members)
+    middle = np.array([np.nansum(xy, axis=0) / max(np.count_nonzero(np.isfinite(xy[:, 0])), 1) for xy in places])
     ray = np.column_stack([middle, np.ones(len(middle))])
     turn = history.rotation_rate_sigma_rad_s * skew(ray)
     own = np.linalg.inv(info + np.eye(3) / UNSURE_HZ**2) + turn @ turn.transpose(0, 2, 1)
@@ -191,12 +193,6 @@ def _directions(
     is_known = moves & (np.trace(cov, axis1=1, axis2=2) < MAX_DIRECTION_SIGMA_RAD**2)
     direction[~is_known] = np.nan
     return direction, cov
-
-
-def _middle(xy: Floats) -> Floats:
-    """The mean (2,) of the places ``xy (M, 2)`` that are known; 0 of none."""
-    is_known = np.isfinite(xy[:, 0])
-    return np.asarray(xy[is_known].sum(axis=0) / max(np.count_nonzero(is_known), 1))
 
 
 def scene_motion(

@@ -26,18 +26,12 @@ def nearest_object(
 
     They last for ``events.persistence_s``, and have ``bodies.min_tracks`` tracks.
     """
-    surely = [row for row in clusters if approaches(row)]
+    # Those that approach by their whole 90 % intervals.
+    times = ((row, row.times) for row in clusters if row.motion_state in APPROACHING)
+    surely = [row for row, one in times if 0.0 < one.ttc_z_lo_s[0] <= one.ttc_z_s[0] <= one.ttc_z_hi_s[0] < math.inf]
     now = {row.cluster_id: since.get(row.cluster_id, t_s) for row in surely}
     lasting_s = config.events.persistence_s - _ROUNDING_S
     told = [
         row for row in surely if t_s - now[row.cluster_id] >= lasting_s and row.n_tracks >= config.bodies.min_tracks
     ]
     return min(told, key=lambda row: float(row.times.ttc_z_s[0]), default=None), now
-
-
-def approaches(row: ClusterRow) -> bool:
-    """Whether an object approaches by its whole 90 % interval."""
-    times = row.times
-    return row.motion_state in APPROACHING and bool(
-        0.0 < times.ttc_z_lo_s[0] <= times.ttc_z_s[0] <= times.ttc_z_hi_s[0] < math.inf
-    )

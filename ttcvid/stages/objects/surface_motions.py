@@ -9,15 +9,15 @@ import numpy as np
 from ttcvid.config import PipelineConfig
 from ttcvid.geometry.paper.epipole import INFINITY_COSINE
 from ttcvid.geometry.rotation import normalize
-from ttcvid.model import SCENE_CLUSTER, Bools, Camera, Floats, Platform, Status
+from ttcvid.model import SCENE_CLUSTER, Bools, Camera, Platform, Status
 from ttcvid.stages.egomotion.relative_pose import Egomotion
 from ttcvid.stages.horizon.planar_motion import HorizonPlane, horizon_offset, horizon_offset_px, onto_horizon
 from ttcvid.stages.objects.clusters import ON_HORIZON, ClusterMotion
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.expansion import find_growing
-from ttcvid.stages.segmentation.ground_plane import find_road, road_points
 from ttcvid.stages.segmentation.labels import BodyMemory, Segmentation
 from ttcvid.stages.segmentation.obstacles import StaticPoints, find_obstacles, own_path
+from ttcvid.stages.segmentation.road import Road, RoadPoints, find_road
 from ttcvid.stages.tracking.history import TrackHistory
 
 # The direction of the scene's path, where that of the last step is not known.
@@ -37,11 +37,11 @@ def in_our_way(
     way = own_path(found.seen.scene.path[0], history.since_s)
     in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.redchi < config.bodies.scene_gate)
     platform = config.egomotion.platform
-    road = memory.road.plane
+    road = memory.road.ground
     if platform == Platform.free and way is not None:
         # We may well be on a road, or low over the ground.
         now_s = float(history.t_s[-1])
-        road = find_road(road_points(found.seen.fit, in_scene, way.aim, history.track_id, now_s), way.aim)
+        road = find_road(RoadPoints.of(found.seen.fit, in_scene, way.aim, history.track_id, now_s), way.aim)
     seen = StaticPoints(history.track_id, history.xy_px, history.focal_px, link_px, found.seen.fit, in_scene)
     before, number, on_ground = memory.obstacles, memory.next_cluster_id, platform == Platform.vehicle
     public, obstacles, next_cluster_id = find_obstacles(
@@ -64,10 +64,10 @@ def in_our_way(
     return motions, memory
 
 
-def road_hz(memory: BodyMemory, found: Segmentation, history: TrackHistory) -> Floats | None:
-    """Our present speed over the depth of the road that is seen at (x, y), as p0 + p1 x + p2 y: (3,); None: no road."""
+def road_at_own_speed(memory: BodyMemory, found: Segmentation, history: TrackHistory) -> Road | None:
+    """The road with inverse depths in units of our present speed; None without one."""
     way = own_path(found.seen.scene.path[0], history.since_s)
-    return None if way is None or memory.road.plane is None else way.speed * memory.road.plane
+    return None if way is None or memory.road.ground is None else memory.road.ground.at_speed(way.speed)
 
 
 def growing_things(

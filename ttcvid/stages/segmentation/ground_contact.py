@@ -17,6 +17,7 @@ from ttcvid.compiled import compiled_for
 from ttcvid.geometry.kernels.medians import median as compiled_median
 from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints
+from ttcvid.stages.segmentation.road import Road
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
@@ -31,10 +32,10 @@ _BESIDE, _NOT_ALONE = 0.4, 1.0
 ON_ROAD = 0.2
 """A point may be on the road if its inverse depth is within this share of the road's."""
 # A foot with less than the first share of the road's inverse depth is under the road, with more than the second over
-# it: a road is no plane, and is known to a sixth of its depth. Both at so many standard deviations, of the inverse
-# depth and of the road's horizon (tangent).
-_UNDER_PART, _HANGING_PART, _FOOT_SIGMAS, _HORIZON_SIGMA = 0.85, 1.4, 3.0, 0.002
-# Radius of a crest, in camera heights (1.6 km); what is seen of it has at least that part of the plane's inverse depth.
+# it: a road is uneven. Both at so many standard deviations, of the inverse depth and of the road's.
+_UNDER_PART, _HANGING_PART, _FOOT_SIGMAS = 0.85, 1.4, 3.0
+# Radius of a crest, in camera heights (1.6 km); what is seen of it has at least that part of the inverse
+# depth that the road seems to have.
 _CREST_RADIUS, _SEEN_PART = 1200.0, 0.5
 # An object with a closing speed below this share of our speed, and its foot less than so many camera heights ahead, is
 # part of our own car: bonnet, dashboard, or their reflection in the windscreen.
@@ -73,11 +74,10 @@ class Contacts:
 
 @dataclass(frozen=True)
 class OnGround:
-    """N tracks on the trajectory of the scene, and the ground plane.
+    """N tracks on the trajectory of the scene, and the road.
 
     place : ``(N, 2)`` in the plane z = 1.
     rate_hz, sigma_hz : ``(N,)`` inverse depth and its standard deviation, 1/s.
-    road_hz, slope_hz : ``(N,)`` inverse depth of the ground plane there, and its growth per tangent downwards, 1/s.
     known : ``(N,)`` whether the inverse depth is known.
     aim_x : x of our direction of travel in the plane z = 1.
     """
@@ -85,10 +85,19 @@ class OnGround:
     place: Floats
     rate_hz: Floats
     sigma_hz: Floats
-    road_hz: Floats
-    slope_hz: float
+    road: Road
     known: Bools
     aim_x: float
+
+    @cached_property
+    def road_hz(self) -> Floats:
+        """Inverse depth ``(N,)`` of the road that is seen there, 1/s."""
+        return self.road.rate_hz(self.place)
+
+    @cached_property
+    def road_sigma_hz(self) -> Floats:
+        """Standard deviation ``(N,)`` of `road_hz`."""
+        return self.road.sigma_hz(self.place)
 
     @cached_property
     def is_road(self) -> Bools:
@@ -103,12 +112,22 @@ class OnGround:
     @cached_property
     def is_under(self) -> Bools:
         """Whether points ``(N,)`` lie significantly under the road, each by itself."""
-        return np.asarray(self.known & _are_under(self.road_hz, self.rate_hz, self.sigma_hz, self.slope_hz))
+        return np.asarray(self.known & self.lie_under(slice(None), self.rate_hz, self.sigma_hz))
 
     @cached_property
     def is_far(self) -> Bools:
         """Whether points ``(N,)`` look far away, and the road behind them, too."""
-        return np.asarray(np.maximum(self.rate_hz, self.road_hz) < _FAR * self.slope_hz)
+        return np.asarray(np.maximum(self.rate_hz, self.road_hz) < _FAR * self.road.slope_hz)
+
+    def lie_under(self, index: Ints | slice, rate_hz: Floats, sigma_hz: Floats) -> Bools:
+        """Whether points ``index (M,)`` with these inverse depths lie significantly under the road.
+
+        The road may fall away by a further Z^2 / (2 R), in camera heights.
+        """
+        square_hz2 = rate_hz**2
+        part = np.clip(square_hz2 / (square_hz2 + 0.5 / _CREST_RADIUS * self.road.slope_hz**2), _SEEN_PART, _UNDER_PART)
+        tolerance_hz = _FOOT_SIGMAS * np.hypot(sigma_hz, part * self.road_sigma_hz[index])
+        return np.asarray(part * self.road_hz[index] - rate_hz > tolerance_hz)
 
 
 def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> Contacts:
@@ -151,7 +170,7 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
         members = things.index[belongs & (things.set_of == number)]
         thing[members] = -1
         under = things.index[is_under & (things.set_of == number)]
-        camera_height = float(seen.road_hz[under].max()) / seen.slope_hz
+        camera_height = float(seen.road_hz[under].max()) / seen.road.slope_hz
         under = under[np.argsort(seen.place[under, 0])]
         is_near = np.diff(seen.place[under, 0]) < _NOT_ALONE * camera_height
         # By one wrong point a tree that stands beside would be a part.
@@ -166,7 +185,7 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
 
 @dataclass(frozen=True)
 class _Feet:
-    """Feet of K objects: the ``track (K,)`` of each, and the road's inverse depth there, ``road_hz (K,)``.
+    """Feet of K objects: the ``track (K,)`` of each; ``road_hz, road_sigma_hz (K,)`` of the road there.
 
     ``median_hz, sigma_hz (K,)`` median inverse depth of each object and its standard deviation; ``slope_hz`` growth of
     the road's inverse depth per tangent downwards. All in 1/s.
@@ -174,14 +193,15 @@ class _Feet:
 
     track: Ints
     road_hz: Floats
+    road_sigma_hz: Floats
     median_hz: Floats
     sigma_hz: Floats
     slope_hz: float
 
     def reach_under(self, things: TrackSets, seen: OnGround) -> Bools:
         """Tracks ``(M,)`` of the K ``things`` that lie significantly under the road, at the depth of their thing."""
-        of, road_hz = things.set_of, seen.road_hz[things.index]
-        return _are_under(road_hz, self.median_hz[of], self.sigma_hz[of], self.slope_hz) & ~self.are_own[of]
+        of = things.set_of
+        return seen.lie_under(things.index, self.median_hz[of], self.sigma_hz[of]) & ~self.are_own[of]
 
     @property
     def are_own(self) -> Bools:
@@ -192,16 +212,8 @@ class _Feet:
     @property
     def are_high(self) -> Bools:
         """Objects ``(K,)`` with a foot significantly over the road."""
-        tolerance_hz = _FOOT_SIGMAS * np.hypot(self.sigma_hz, _HANGING_PART * self.slope_hz * _HORIZON_SIGMA)
+        tolerance_hz = _FOOT_SIGMAS * np.hypot(self.sigma_hz, _HANGING_PART * self.road_sigma_hz)
         return np.asarray(self.median_hz - _HANGING_PART * self.road_hz > tolerance_hz)
-
-
-def _are_under(road_hz: Floats, rate_hz: Floats, sigma_hz: Floats, slope_hz: float) -> Bools:
-    """Whether points ``(N,)`` lie significantly under a road that falls away by Z^2 / (2 R), in camera heights."""
-    square_hz2 = rate_hz**2
-    part = np.clip(square_hz2 / (square_hz2 + 0.5 / _CREST_RADIUS * slope_hz**2), _SEEN_PART, _UNDER_PART)
-    tolerance_hz = _FOOT_SIGMAS * np.hypot(sigma_hz, part * slope_hz * _HORIZON_SIGMA)
-    return np.asarray(part * road_hz - rate_hz > tolerance_hz)
 
 
 def _feet_of(things: TrackSets, seen: OnGround) -> _Feet:
@@ -209,7 +221,8 @@ def _feet_of(things: TrackSets, seen: OnGround) -> _Feet:
     lowest_first = np.lexsort((-seen.place[things.index, 1], things.set_of))
     track = things.index[lowest_first[things.first + np.minimum(things.lengths, _FOOT) // 2]]
     sigma_hz = things.medians(seen.sigma_hz[things.index]) * np.sqrt(0.5 * np.pi / things.lengths)
-    return _Feet(track, seen.road_hz[track], things.medians(seen.rate_hz[things.index]), sigma_hz, seen.slope_hz)
+    median_hz = things.medians(seen.rate_hz[things.index])
+    return _Feet(track, seen.road_hz[track], seen.road_sigma_hz[track], median_hz, sigma_hz, seen.road.slope_hz)
 
 
 def _is_over(x: Floats, below_x: Floats, beside: float = 0.0) -> Bools:
@@ -223,7 +236,7 @@ def _standing_over(seen: OnGround, members: Ints, under: Ints, camera_height: fl
 
     ``camera_height`` is that of the camera at the true depth of the vehicle, a tangent.
     """
-    over_horizon, reach = -seen.road_hz[members] / seen.slope_hz, _BESIDE * camera_height
+    over_horizon, reach = -seen.road_hz[members] / seen.road.slope_hz, _BESIDE * camera_height
     is_over, is_high = _is_over(seen.place[members, 0], seen.place[under, 0], reach), over_horizon >= reach
     # What goes on beside it over our own height stands behind it.
     goes_on = np.count_nonzero(~is_over & is_high) > _MOST_BESIDE * np.count_nonzero(is_over & is_high)
@@ -255,7 +268,7 @@ def _hangs(seen: OnGround, members: Ints, foot: int) -> bool:
     rate_hz = seen.rate_hz[members]
     # Of few values, four times as fast as numpy's quantiles.
     far_hz, near_hz = np.interp([0.05, 0.95], np.linspace(0.0, 1.0, len(rate_hz)), np.sort(rate_hz))
-    is_deep = seen.slope_hz * (near_hz - far_hz) > _MOST_SIZE * near_hz * far_hz
+    is_deep = seen.road.slope_hz * (near_hz - far_hz) > _MOST_SIZE * near_hz * far_hz
     if is_deep and near_hz > _MOST_DEPTH_RATIO * far_hz:
         return False
     x, y = seen.place.T
@@ -263,14 +276,14 @@ def _hangs(seen: OnGround, members: Ints, foot: int) -> bool:
     median_hz, middle = median(rate_hz), median(x[members])
     # One of its points may be wrong.
     is_high = median_hz - np.sort(seen.road_hz[members])[1] > _MOST_SIZE * median_hz
-    if is_high and seen.slope_hz * np.ptp(x[members]) > _MOST_SIZE * median_hz:
+    if is_high and seen.road.slope_hz * np.ptp(x[members]) > _MOST_SIZE * median_hz:
         return False
     bottom = members[y[members] >= low - _BOTTOM * (low - top)]
     is_below = seen.known & (x > x[bottom].min()) & (x < x[bottom].max()) & (y > y[bottom].max())
     if np.count_nonzero(is_below & seen.is_road & (seen.rate_hz * _FARTHER < far_hz)) >= _SEEN_THROUGH:
         return True
-    down = (median_hz - seen.road_hz[foot]) / seen.slope_hz
-    is_aside = abs(middle - seen.aim_x) * seen.slope_hz > _OWN_LANE * median_hz
+    down = (median_hz - seen.road_hz[foot]) / seen.road.slope_hz
+    is_aside = abs(middle - seen.aim_x) * seen.road.slope_hz > _OWN_LANE * median_hz
     # A nearer object may bear it, or hide its foot.
     bears = is_below & (y < low + down) & ~seen.is_road & (seen.rate_hz * _FARTHER > far_hz)
     is_gap = down > _BOTTOM * (low - top) and down * len(members) > _MISSING * (low - top)

@@ -21,9 +21,9 @@ from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.bodies import carried_forward, stepped_movers
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.data_association import Movers, assigned, kept, no_movers, numbers_of
-from ttcvid.stages.segmentation.ground_plane import RoadMemory
 from ttcvid.stages.segmentation.merges import merged, split
 from ttcvid.stages.segmentation.reidentification import reidentified, with_velocities
+from ttcvid.stages.segmentation.road_evidence import RoadMemory
 from ttcvid.stages.segmentation.scene import SeenScene, TrackLabels, see_scene
 from ttcvid.stages.segmentation.surface_memory import Obstacle, are_confirmed
 from ttcvid.stages.segmentation.turning_movers import with_turning_bodies

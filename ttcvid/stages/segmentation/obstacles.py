@@ -16,7 +16,7 @@ from ttcvid.config import BodiesConfig
 from ttcvid.geometry.along_bend import BEND_ENDS, share_of_bend
 from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.segmentation.ground_plane import OWN_HALF_WIDTH
+from ttcvid.stages.segmentation.road import OWN_HALF_WIDTH, Road
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
@@ -132,7 +132,7 @@ def find_obstacles(
     before: tuple[Obstacle, ...],
     points: StaticPoints,
     way: OwnPath | None,
-    road: Floats | None,
+    road: Road | None,
     next_cluster_id: int,
     config: BodiesConfig,
     *,
@@ -143,7 +143,7 @@ def find_obstacles(
     Parameters
     ----------
     way : None where we do not move ahead: nothing is in our way, but what was is known again for a while.
-    road : plane of the road, as from `ground_plane.find_road`, or None.
+    road : as from `road.find_road`, or None.
     on_ground : whether we drive.
     """
     track_id = points.track_id
@@ -159,7 +159,7 @@ def find_obstacles(
 
 
 def _surfaces(
-    points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: OwnPath, road: Floats | None, *, on_ground: bool
+    points: StaticPoints, is_known: Bools, is_confirmed: Bools, way: OwnPath, road: Road | None, *, on_ground: bool
 ) -> list[Ints]:
     """Upright surfaces that our way leads through, tracks (M,) of each.
 
@@ -169,7 +169,7 @@ def _surfaces(
     depths = _Depths(points.fit.take(index), road, on_ground=on_ground)
     is_ahead = off < _LOOK
     if on_ground and road is not None:
-        is_ahead |= off < OWN_HALF_WIDTH * depths.rate_hz / road[2]
+        is_ahead |= off < OWN_HALF_WIDTH * depths.rate_hz / road.slope_hz
     asked = depths.are_told(depths.rate_hz) & depths.stand(slice(None), depths.rate_hz) & is_ahead
     if len(index) < _LEAST_TRACKS or not asked.any():
         return []
@@ -238,11 +238,9 @@ class _Depths:
     The ``road`` goes on to the depth of each (None: there is none).
     """
 
-    def __init__(self, fit: PathFit, road: Floats | None, *, on_ground: bool) -> None:
+    def __init__(self, fit: PathFit, road: Road | None, *, on_ground: bool) -> None:
         self.road, self.on_ground = road, on_ground
         self.place, self.rate_hz, self.sigma_hz = fit.place, fit.rate_hz, fit.rate_sigma_hz
-        x, y = fit.place.T
-        self.below = None if road is None else y + (road[0] + road[1] * x) / road[2]
 
     def heights(self, index: Ints | slice, rate_hz: Floats) -> Floats:
         """Heights over the road, in heights of the camera, of tracks on a surface of inverse depth ``rate_hz``.
@@ -250,16 +248,15 @@ class _Depths:
         That of a track that tells its own depth well is its own: else the road a little farther would seem to stand.
         """
         assert self.road is not None
-        assert self.below is not None
         own, of_surface = self.sigma_hz[index] ** -2.0, np.maximum(_ONE_SURFACE * rate_hz, _TINY_HZ) ** -2.0
         rate_hz = (own * self.rate_hz[index] + of_surface * rate_hz) / (own + of_surface)
-        return np.asarray(1.0 - self.below[index] * self.road[2] / np.maximum(rate_hz, _TINY_HZ))
+        return self.road.heights(self.place[index], rate_hz)
 
     def stand(self, index: Ints | slice, rate_hz: Floats, *, surely: bool = False) -> Bools:
         """Which tracks do not lie on the road, on a surface of that depth; ``surely`` also where the road rises."""
         if self.road is None:
             return np.ones(len(self.place[index]), dtype=bool)
-        rise = _MOST_RISE * self.road[2] / np.maximum(rate_hz, _TINY_HZ) if surely else 0.0
+        rise = _MOST_RISE * self.road.slope_hz / np.maximum(rate_hz, _TINY_HZ) if surely else 0.0
         return np.asarray(self.heights(index, rate_hz) > _LEAST_HEIGHT + rise)
 
     def are_told(self, rate_hz: Floats) -> Bools:
@@ -275,7 +272,7 @@ class _Depths:
             return np.ones(len(pairs), dtype=bool)
         stands = self.stand(slice(None), rate_hz, surely=True)
         apart = np.linalg.norm(self.place[pairs[:, 0]] - self.place[pairs[:, 1]], axis=1)
-        return np.asarray(stands[pairs].any(axis=1) & (apart < _BESIDE * rate_hz / self.road[2]))
+        return np.asarray(stands[pairs].any(axis=1) & (apart < _BESIDE * rate_hz / self.road.slope_hz))
 
     def without_road_beside(self, members: Ints, rate_hz: Floats, reach: float) -> Ints:
         """A surface without the points of the road that lie beside what stands there."""
@@ -372,7 +369,7 @@ def _is_in_the_way(depths: _Depths, surface: _Surface, way: OwnPath, link: float
     rate_hz = surface.rate_hz
     straight_on, aim = way.aim_at(np.append(0.0, way.reached_s(rate_hz)))
     road, goes_on = depths.road, 0.0
-    if road is not None and BEND_ENDS * abs(aim[0] - straight_on[0]) < rate_hz / road[2]:
+    if road is not None and BEND_ENDS * abs(aim[0] - straight_on[0]) < rate_hz / road.slope_hz:
         goes_on = (1.0 - BEND_ENDS) * share_of_bend(way.turn_hz)
     aims = np.stack([straight_on + goes_on * (aim - straight_on), aim])
     own_hz, sigma_hz = depths.rate_hz[surface.members], depths.sigma_hz[surface.members]
@@ -381,7 +378,7 @@ def _is_in_the_way(depths: _Depths, surface: _Surface, way: OwnPath, link: float
     if depths.on_ground and road is not None:
         # We drive through under the deck of a bridge, and between things that leave us twice our width.
         tells &= depths.heights(surface.members, rate_hz) < _LEAST_DECK
-        half_width = float(OWN_HALF_WIDTH * rate_hz / road[2])
+        half_width = float(OWN_HALF_WIDTH * rate_hz / road.slope_hz)
         axes, covered, near = slice(1), max(covered, half_width), covered + half_width
     place, aims = depths.place[surface.members[tells], axes], aims[:, axes]
     if not len(place):

@@ -17,7 +17,7 @@ from ttcvid.stages.egomotion.relative_pose import Egomotion, picture_region, reg
 from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS, ride_odds
-from ttcvid.stages.segmentation.ground_plane import RoadMemory, gathered_evidence, on_road
+from ttcvid.stages.segmentation.road_evidence import RoadMemory, gathered_evidence, on_road
 from ttcvid.stages.segmentation.speed_changes import change_speed
 from ttcvid.stages.tracking.history import TrackHistory
 
@@ -233,7 +233,7 @@ def _with_contradictions(
     Of a mover's young tracks, without evidence yet, those are left out that may lie on the road, ``is_road (N,)``.
     """
     # Of a mover along our way the path explains any track: only what stands or hangs where the mover does is its part.
-    evidence = road.against_scene
+    evidence = np.maximum(road.evidence, road.by_speed)
     may_be_part = (evidence > _LEAST_EVIDENCE) | ((n_views <= _USUAL_VIEWS) & ~is_road)
     of_mover = np.bincount(key, evidence) > _MOVER_EVIDENCE * np.bincount(key)
     is_odd = (evidence > _ENOUGH_EVIDENCE) | (may_be_part & (key != SCENE_CLUSTER) & of_mover[key])

@@ -13,8 +13,8 @@ from ttcvid.geometry.along_bend import BEND_ENDS, straightened
 from ttcvid.geometry.camera.pinhole import rays_from_pixels
 from ttcvid.geometry.rotation import tangent_basis
 from ttcvid.model import APPROACHING, SCENE_MOTION, Camera, ClusterRow, Floats, MotionState
-from ttcvid.stages.segmentation.ground_plane import OWN_HALF_WIDTH
 from ttcvid.stages.segmentation.own_turn import OwnBend
+from ttcvid.stages.segmentation.road import OWN_HALF_WIDTH
 
 # The time to closest approach counts up to this multiple of its limit: evidence is gathered while that time runs down.
 _WATCHED_TTC = 1.5
@@ -75,7 +75,7 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     tcpa_s = float(row.times.tcpa_s[0])
     if row.motion_state not in APPROACHING or not tcpa_s > 0.0:
         return Course(0.0)
-    is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road_hz is not None
+    is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road is not None
     if view.on_ground and not is_road_found and (is_standing or _passes_below(row, abc_hz, view)):
         # Without a ground plane, a bridge or trees look like a wall ahead. Road markings look like what we would run
         # over, and are movers where what drives with us is taken for the scene.

@@ -103,7 +103,10 @@ def update_events(
                 watched[cluster_id] = before
             continue
         if before is None:
-            lost_id = _lost_at(row.box_px, watched, rows)
+            # It may be one that is lost, whose last box overlaps this one.
+            lost = (number for number in watched if number not in rows)
+            lost = (number for number in lost if _common_part(row.box_px, watched[number].box_px) > _SAME_PLACE)
+            lost_id = next(lost, None)
             before = None if lost_id is None else replace(watched.pop(lost_id), event=None, times_left=())
         now = _watched(before, course, row, t_s, looked_s, config)
         is_probable = course.probability > _EVEN
@@ -190,14 +193,6 @@ def _lower_bound(ago_s: Floats, values: Floats, of_line: Floats, surely: float) 
     left = values - columns @ line
     sigma = math.sqrt(float(of_line @ cov @ of_line) * float(left @ left) / free)
     return float(of_line @ line) - float(stdtrit(free, surely)) * sigma
-
-
-def _lost_at(
-    box_px: tuple[float, float, float, float], watched: dict[int, WatchedObject], rows: dict[int, ClusterRow]
-) -> int | None:
-    """``cluster_id`` of a watched object that is lost and whose last box overlaps this one; None: there is none."""
-    lost = (number for number in watched if number not in rows)
-    return next((number for number in lost if _common_part(box_px, watched[number].box_px) > _SAME_PLACE), None)
 
 
 def _common_part(one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> float:
