@@ -53,7 +53,7 @@ def new_movers(
     """
     is_asked = in_scene & views.is_free & (seen.ride_odds < -FOLLOWS) & (seen.fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)
-    # Constant bearing with expansion shows a mover even where only the ground plane contradicts the scene's motion.
+    # Constant bearing with expansion shows a mover even where only the road contradicts the scene's motion.
     may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
     things = expanding_movers(views, seen, may_spread, candidates, config)
     spread, paths, rate_hz = _explained(views, seen, things, least_tracks(config), 0.0, np.zeros_like(in_scene), config)

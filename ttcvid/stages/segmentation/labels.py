@@ -53,7 +53,7 @@ class BodyMemory:
 
     scene, movers : the bodies; None before the first frame.
     track_id, track_key, rate_hz : ``(M,)`` number, body and inverse depth (1/s) of each track, by ascending number.
-    road : memory of the ground plane.
+    road : memory of the road.
     next_key, next_cluster_id : next body and next public number that are free.
     obstacles : standing obstacles (`segmentation.obstacles`).
     growing : expanding surfaces (`segmentation.expansion`).

@@ -77,7 +77,7 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
         return Course(0.0)
     is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road is not None
     if view.on_ground and not is_road_found and (is_standing or _passes_below(row, abc_hz, view)):
-        # Without a ground plane, a bridge or trees look like a wall ahead. Road markings look like what we would run
+        # Without a road, a bridge or trees look like a wall ahead. Road markings look like what we would run
         # over, and are movers where what drives with us is taken for the scene.
         return None
     *off_widths, sigma_widths = _miss_widths(row, abc_hz, cov, view).tolist()
