@@ -116,8 +116,8 @@ RULES: dict[str, Rule] = {
     "spreading": Rule(
         "new movers that keep their bearing and spread",
         "births",
-        {"stages.segmentation.diverging_flow.expanding_movers": lambda *_, **__: []},
-        _stage("segmentation/diverging_flow"),
+        {"stages.segmentation.expansion.expanding_movers": lambda *_, **__: []},
+        _stage("segmentation/expansion"),
     ),
     "growing": Rule(
         "what comes straight at us and grows",

@@ -45,7 +45,7 @@ def test_the_road_is_the_plane_at_the_cameras_height():
 
 def test_points_of_the_road_lie_on_it_and_those_of_a_wall_that_stands_there_do_not():
     fit = road_and_wall(np.random.default_rng(2))
-    lies = on_road(fit, RoadMemory(ground=road_of(fit)))
+    lies = on_road(fit, RoadMemory(road=road_of(fit)))
     assert lies[:80].all()
     assert not lies[80:].any()
 

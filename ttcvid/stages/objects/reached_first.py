@@ -30,8 +30,6 @@ def nearest_object(
     times = ((row, row.times) for row in clusters if row.motion_state in APPROACHING)
     surely = [row for row, one in times if 0.0 < one.ttc_z_lo_s[0] <= one.ttc_z_s[0] <= one.ttc_z_hi_s[0] < math.inf]
     now = {row.cluster_id: since.get(row.cluster_id, t_s) for row in surely}
-    lasting_s = config.events.persistence_s - _ROUNDING_S
-    told = [
-        row for row in surely if t_s - now[row.cluster_id] >= lasting_s and row.n_tracks >= config.bodies.min_tracks
-    ]
+    lasting_s, needed = config.events.persistence_s - _ROUNDING_S, config.bodies.min_tracks
+    told = [row for row in surely if t_s - now[row.cluster_id] >= lasting_s and row.n_tracks >= needed]
     return min(told, key=lambda row: float(row.times.ttc_z_s[0]), default=None), now

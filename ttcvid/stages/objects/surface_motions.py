@@ -37,17 +37,15 @@ def in_our_way(
     way = own_path(found.seen.scene.path[0], history.since_s)
     in_scene = (found.key == SCENE_CLUSTER) & is_free & (found.seen.redchi < config.bodies.scene_gate)
     platform = config.egomotion.platform
-    road = memory.road.ground
+    road = memory.road.road
     if platform == Platform.free and way is not None:
         # We may well be on a road, or low over the ground.
         now_s = float(history.t_s[-1])
         road = find_road(RoadPoints.of(found.seen.fit, in_scene, way.aim, history.track_id, now_s), way.aim)
     seen = StaticPoints(history.track_id, history.xy_px, history.focal_px, link_px, found.seen.fit, in_scene)
     before, number, on_ground = memory.obstacles, memory.next_cluster_id, platform == Platform.vehicle
-    public, obstacles, next_cluster_id = find_obstacles(
-        before, seen, way, road, number, config.bodies, on_ground=on_ground
-    )
-    memory = replace(memory, obstacles=obstacles, next_cluster_id=next_cluster_id)
+    public, obstacles, next_id = find_obstacles(before, seen, way, road, number, config.bodies, on_ground=on_ground)
+    memory = replace(memory, obstacles=obstacles, next_cluster_id=next_id)
     if way is None:
         return [], memory
     direction, covariance = egomotion.direction, egomotion.direction_cov
@@ -67,7 +65,7 @@ def in_our_way(
 def road_at_own_speed(memory: BodyMemory, found: Segmentation, history: TrackHistory) -> Road | None:
     """The road with inverse depths in units of our present speed; None without one."""
     way = own_path(found.seen.scene.path[0], history.since_s)
-    return None if way is None or memory.road.ground is None else memory.road.ground.at_speed(way.speed)
+    return None if way is None or memory.road.road is None else memory.road.road.at_speed(way.speed)
 
 
 def growing_things(
@@ -80,16 +78,13 @@ def growing_things(
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What comes straight at us on a way of its own, as objects; and the memory with them."""
     on_scene = found.seen.redchi, found.seen.median_redchi, (found.key == SCENE_CLUSTER) & is_free
-    public, growing, next_cluster_id = find_growing(
-        memory.growing, history, *on_scene, views, memory.next_cluster_id, config.bodies
-    )
+    before, number, how = memory.growing, memory.next_cluster_id, (Status.ok, "whole-tracks")
+    public, growing, next_id = find_growing(before, history, *on_scene, views, number, config.bodies)
     motions = [
-        ClusterMotion(
-            number, one.members, one.direction, one.direction_cov, Status.ok, "whole-tracks", is_one_surface=True
-        )
+        ClusterMotion(number, one.members, one.direction, one.direction_cov, *how, is_one_surface=True)
         for number, one in public.items()
     ]
-    return motions, replace(memory, growing=growing, next_cluster_id=next_cluster_id)
+    return motions, replace(memory, growing=growing, next_cluster_id=next_id)
 
 
 def on_plane(motion: ClusterMotion, plane: HorizonPlane | None, camera: Camera) -> ClusterMotion:

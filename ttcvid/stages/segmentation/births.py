@@ -1,11 +1,13 @@
-"""Births of movers: neighbouring tracks that contradict the scene and share a flow or an expansion."""
+"""Births of movers: neighbouring tracks that contradict the scene and share a flow, an expansion or a depth."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from ttcvid.config import BodiesConfig
-from ttcvid.geometry.estimation.rigid_motion import RigidPaths
+from ttcvid.geometry.estimation.rigid_motion import PathFit, RigidPaths
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.geometry.medians import medians, row_medians
 from ttcvid.geometry.rotation import normalize, turned_into_plane
@@ -13,9 +15,9 @@ from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.bodies import refined_movers
 from ttcvid.stages.segmentation.body_views import BodyViews, cost_of, fit_on_movers
 from ttcvid.stages.segmentation.common_errors import drift_cost
-from ttcvid.stages.segmentation.diverging_flow import cost_of_birth, expanding_movers, least_tracks
-from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
+from ttcvid.stages.segmentation.expansion import LEAST_VIEWS, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS
+from ttcvid.stages.segmentation.ground_contact import depth_tolerance_hz
 from ttcvid.stages.segmentation.last_known import STEPS_TO_VELOCITY, recent_velocities
 from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs, without_gaps
@@ -54,13 +56,14 @@ def new_movers(
     is_asked = in_scene & views.is_free & (seen.ride_odds < -FOLLOWS) & (seen.fit.n_views >= _LEAST_VIEWS)
     candidates = _candidates(neighbours, is_asked, seen.redchi, config)
     # Constant bearing with expansion shows a mover even where only the road contradicts the scene's motion.
-    may_spread = is_asked & (seen.fit.n_views >= LEAST_VIEWS)
-    things = expanding_movers(views, seen, may_spread, candidates, config)
+    things = expanding_movers(views, seen, is_asked & (seen.fit.n_views >= LEAST_VIEWS), candidates, config)
     spread, paths, rate_hz = _explained(views, seen, things, least_tracks(config), 0.0, np.zeros_like(in_scene), config)
-    for tracks in spread:
-        candidates = np.setdiff1d(candidates, tracks)
-    is_along = (seen.redchi > config.scene_gate) & (seen.seen_redchi < config.scene_gate)
-    things = _alike_things(views, seen.scene, candidates, is_along, config)
+    contradicts = (seen.redchi > config.scene_gate) & np.isfinite(seen.fit.rate_sigma_hz)
+    is_along = contradicts & (seen.seen_redchi < config.scene_gate)
+    # What lies under the road contradicts by itself, what stands over that with its surface: no neighbours are asked.
+    candidates = np.union1d(candidates, np.flatnonzero(is_asked & is_along))
+    candidates = candidates[~np.isin(candidates, np.concatenate([candidates[:0], *spread]))]
+    things = _alike_things(views, seen, candidates, is_along, config)
     # What just moves alike contradicts the scene track by track, at constant bearing only what is at its edges does.
     alike, alike_paths, alike_hz = _explained(views, seen, things, config.min_tracks, _MOST, is_along, config)
     return spread + alike, paths.joined(alike_paths), np.append(rate_hz, alike_hz)
@@ -78,8 +81,9 @@ def _explained(
     """Those of K proposals that cost less on a trajectory of their own than on the scene's, all tracks together.
 
     Each of the ``things`` is its tracks ``(M,)`` and trajectory ``(L, 3)``. It has to explain at least ``needed`` of
-    its tracks, and ``least_part`` of them, significantly better than the scene. ``is_along (N,)`` tracks contradict the
-    scene by their depth alone.
+    its tracks, and ``least_part`` of them, better than the scene by the ``gain``, and to save together as much as so
+    many tracks with a large chi-square do. ``is_along (N,)`` tracks contradict the scene by their depth alone, which
+    was judged already: no trajectory explains them worse than the scene's own.
 
     Returned as by `new_movers`, with the tracks that are explained significantly better.
     """
@@ -98,7 +102,7 @@ def _explained(
     redchi_by_own = fit_on_movers(points, paths, rate_hz).redchi / median_redchi
     is_better = redchi_by_own < redchi[track] / config.gain
     saved = cost_of(redchi[track]) - cost_of(redchi_by_own)
-    cost = cost_of_birth(needed, config)
+    cost = needed * math.log(config.gain)
     is_found = np.bincount(thing, saved) > cost
     # No mover where a common drift costs less than a birth.
     drift = drift_cost(seen.residual_px2(views)[track], thing, len(starts), views.common_px)
@@ -121,17 +125,18 @@ def _candidates(neighbours: Ints, is_asked: Bools, redchi: Floats, config: Bodie
 
 
 def _alike_things(
-    views: BodyViews, scene: RigidPaths, candidates: Ints, is_along: Bools, config: BodiesConfig
+    views: BodyViews, seen: SeenScene, candidates: Ints, is_along: Bools, config: BodiesConfig
 ) -> list[tuple[Ints, Floats]]:
-    """Connected tracks of similar flow among ``candidates (C,)``: tracks ``(M,)`` and straight path ``(L, 3)`` of each.
+    """Connected tracks of similar motion among ``candidates (C,)``: tracks ``(M,)``, straight path ``(L, 3)`` of each.
 
     The path is that of the velocity of all tracks of a thing together: a track of a few views does not tell its own.
     ``is_along (N,)`` tracks that move along our own direction.
     """
     if len(candidates) < config.min_tracks:
         return []
-    xy = turned_into_plane(views.rays.take(candidates, axis=1), scene.cam_R_past[0])
-    flow, label = _alike_and_near(views, candidates, xy, is_along[candidates])
+    cam_R_past = seen.scene.cam_R_past[0]
+    xy = turned_into_plane(views.rays.take(candidates, axis=1), cam_R_past)
+    flow, label = _alike_and_near(views, seen.fit, candidates, xy, is_along[candidates])
     is_one = np.bincount(label)[label] >= config.min_tracks
     if not is_one.any():
         return []
@@ -141,16 +146,17 @@ def _alike_things(
     start_hz = np.column_stack([*across_hz, np.zeros(len(numbers))])
     ahead_hz = np.maximum(_AHEAD_OF_ACROSS * np.hypot(*across_hz), _LEAST_AHEAD_HZ)
     points = views.points(candidates, thing)
-    velocity_hz, _ = recent_velocities(points, scene.cam_R_past[0], start_hz, STEPS_TO_VELOCITY, ahead_hz)
+    velocity_hz, _ = recent_velocities(points, cam_R_past, start_hz, STEPS_TO_VELOCITY, ahead_hz)
     directions = normalize(velocity_hz)
     told = np.flatnonzero(np.isfinite(directions[:, 0]))
     return [(candidates[thing == number], straight_path(directions[number], views.since_s)) for number in told]
 
 
-def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) -> tuple[Floats, Ints]:
-    """Flow ``(C, 2)`` of each track ``index (C,)``, 1/s, and its connected component: near ones of similar flow.
+def _alike_and_near(views: BodyViews, fit: PathFit, index: Ints, xy: Floats, is_along: Bools) -> tuple[Floats, Ints]:
+    """Flow ``(C, 2)`` of each track ``index (C,)``, 1/s, and its connected component: near ones that move alike.
 
-    Tracks along our own direction, ``is_along (C,)``, are connected with each other only.
+    Tracks along our own direction, ``is_along (C,)``, are connected with each other only, by inverse depth on the path
+    of the scene, ``fit``: their flows diverge.
     """
     oldest, since_s = np.isfinite(xy[:, :, 0]).argmax(axis=0), views.since_s
     span_s = -since_s[oldest]
@@ -163,6 +169,8 @@ def _alike_and_near(views: BodyViews, index: Ints, xy: Floats, is_along: Bools) 
     floor = _FLOW_PX / views.focal_px / np.minimum(span_s[one], span_s[other])
     apart = np.hypot(*(flow[one] - flow[other]).T)
     is_alike = apart < _FLOW_PART * 0.5 * (length[one] + length[other]) + floor
-    is_alike &= is_along[one] == is_along[other]
+    rate_hz, tolerance_hz = fit.rate_hz[index], depth_tolerance_hz(fit.rate_hz[index], fit.rate_sigma_hz[index])
+    is_one_depth = np.abs(rate_hz[one] - rate_hz[other]) < 0.5 * (tolerance_hz[one] + tolerance_hz[other])
+    is_alike = np.where(is_along[one], is_one_depth, is_alike) & (is_along[one] == is_along[other])
     pairs = without_gaps(pairs.take(np.flatnonzero(is_alike), axis=0), views.xy_px[index], views.link_px)
     return flow, connected_parts(np.ones(len(index), dtype=bool), pairs)

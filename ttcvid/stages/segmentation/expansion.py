@@ -1,35 +1,43 @@
-"""What heads straight at us on a trajectory of its own: a few tracks at constant bearing that expand.
+"""What comes straight at us: tracks at constant bearing, with diverging flows that one approaching object explains.
 
-An aircraft on collision course stands still in the picture and expands. A far scene explains each of its tracks, or
-nearly, and their flows diverge. Together they belong to one approaching object, with three unknowns for all, where the
-scene has one for each.
+An object on collision course hardly moves in the picture: it expands. The flows of its tracks are not alike, as those
+of other movers are, and a far scene explains each of them, or nearly. Together they belong to one approaching object,
+with three unknowns for all, V / Z, where the scene has one for each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ttcvid.config import BodiesConfig
 from ttcvid.geometry.estimation.growth import growth_sums
-from ttcvid.geometry.rotation import skew, turned_into_plane
+from ttcvid.geometry.estimation.track_on_trajectory import straight_path
+from ttcvid.geometry.rotation import each_turned_into_plane, normalize, skew
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.segmentation.body_views import BodyViews
+from ttcvid.stages.segmentation.body_views import BodyViews, cost_of
 from ttcvid.stages.segmentation.common_errors import SIGMAS_999, common_growth_hz
-from ttcvid.stages.segmentation.obstacles import REACHED_WITHIN_S
+from ttcvid.stages.segmentation.scene import SeenScene
 from ttcvid.stages.segmentation.surface_memory import Obstacle, remembered, tracks_of
 from ttcvid.stages.tracking.history import TrackHistory
 
 LEAST_VIEWS = 6
 """Views that a track needs: with fewer, one V / Z explains any."""
-# Minimum number of tracks for an expanding object: as many as for an obstacle, fewer than for a mover. A common
-# velocity, which no two objects of the scene have, is stronger evidence than their number.
-_LEAST_TRACKS = 4
+# Minimum number of tracks of a mover that expands, and of what does in the air, where little else is seen. Fewer than
+# for other movers: three unknowns for all are stronger evidence than similar flows.
+_LEAST_TRACKS, _LEAST_IN_AIR = 5, 4
 # Tracks of one object lie within this many link lengths of the one that the scene explains worst (wing tips and nose
-# of an aircraft). At most this many of the nearest are used, for at most this many objects per frame.
-_LINKS, _MOST_AROUND, _MOST_THINGS = 2.0, 48, 6
+# of an aircraft). At most this many of the nearest are used.
+_LINKS, _MOST_AROUND = 2.0, 48
+# At most this many objects per frame, around at most this many tracks: in a street, tracks that slide along outlines of
+# posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same ones in each frame.
+_MOST_THINGS, _MOST_SEEDS = 3, 12
+# What arrives later than this multiple of its observed span has hardly expanded: similar flows determine its
+# direction better.
+_REACHED_WITHIN = 6.0
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,35 @@ class Growing:
     members: Ints
     direction: Floats
     direction_cov: Floats
+
+
+def least_tracks(config: BodiesConfig) -> int:
+    """Minimum number of tracks of a mover that expands."""
+    return min(config.min_tracks, _LEAST_TRACKS)
+
+
+def expanding_movers(
+    views: BodyViews, seen: SeenScene, may_be: Bools, seeds: Ints, config: BodiesConfig
+) -> list[tuple[Ints, Floats]]:
+    """New movers that come nearer and expand, each with its tracks (M,) and its path (L, 3).
+
+    The tracks of each are at least `least_tracks`, and cost less than in the scene, all together, as `new_movers` asks
+    again of a refined path: what a linear fit makes of each track is crude.
+
+    Parameters
+    ----------
+    may_be : (N,) tracks that things may be made of, each of `LEAST_VIEWS` at the least.
+    seeds : those of the tracks that contradict the scene together.
+    """
+    is_asked, needed = may_be & np.isin(np.arange(len(may_be)), seeds), least_tracks(config)
+
+    def is_better(in_scene: Floats, own: Floats) -> bool:
+        saved = float((cost_of(in_scene) - cost_of(own)).sum())
+        return len(own) >= needed and saved >= needed * math.log(config.gain)
+
+    way = seen.scene.cam_R_past[0], seen.redchi, seen.median_redchi
+    found = _expansions(views, *way, may_be, is_asked, is_better, config.scene_gate)
+    return [(members, straight_path(normalize(hz), views.since_s)) for members, hz, _ in found]
 
 
 def find_growing(
@@ -59,16 +96,19 @@ def find_growing(
     may_be = in_scene & (history.n_frames >= LEAST_VIEWS)
     # Around tracks that contradict the scene, or are known to be part of such a thing.
     is_asked = may_be & ((redchi > config.scene_gate) | np.isin(history.track_id, tracks_of(before)))
-    things = list[Growing]()
-    for around in around_oddest(redchi, is_asked, history.xy_px, may_be, views.link_px, _MOST_THINGS):
-        sigma_norm = np.sqrt(median_redchi) * views.sigma_norm[around]
-        thing = _thing_around(history, around, redchi[around], sigma_norm, config)
-        if thing is not None:
-            things.append(thing)
-            may_be[thing.members] = False
-    is_free = in_scene.copy()
-    for thing in things:
-        is_free[thing.members] = False
+    things, is_free, gate = list[Growing](), in_scene.copy(), config.scene_gate
+
+    def is_better(in_scene: Floats, own: Floats) -> bool:
+        return bool(in_scene[0] <= gate or own[0] < in_scene[0] / config.gain)
+
+    way = history.cam_R_seen, redchi, median_redchi
+    for members, velocity_hz, cov in _expansions(views, *way, may_be, is_asked, is_better, gate):
+        turned = skew(np.append(views.xy[members].mean(axis=0), 1.0))
+        cov = cov + turned @ history.rotation_rate_cov @ turned.T
+        direction = normalize(velocity_hz)
+        across = (np.eye(3) - np.outer(direction, direction)) / np.linalg.norm(velocity_hz)
+        things.append(Growing(members, direction, across @ cov @ across))
+        is_free[members] = False
     public, memory, next_cluster_id = remembered(
         before, history.track_id, [thing.members for thing in things], is_free, next_cluster_id, config
     )
@@ -78,62 +118,54 @@ def find_growing(
     return found, memory, next_cluster_id
 
 
-def around_oddest(
-    redchi: Floats, is_asked: Bools, xy_px: Floats, may_be: Bools, link_px: float, most: int
-) -> Iterator[Ints]:
-    """Sets of tracks ``(M,)`` around each of ``most`` tracks at most, first those that the scene explains worst.
+def _expansions(
+    views: BodyViews,
+    cam_R_past: Floats,
+    redchi: Floats,
+    median_redchi: float,
+    may_be: Bools,
+    is_asked: Bools,
+    is_better: Callable[[Floats, Floats], bool],
+    gate: float,
+) -> Iterator[tuple[Ints, Floats, Floats]]:
+    """Things that come nearer: tracks (M,), V / Z (3,) and its covariance (3, 3) of each, in 1/s.
 
-    Around those that are asked, by ``redchi (N,)``, which stand first; then the nearest at ``xy_px (N, 2)`` within
-    `_LINKS`. Of both only those that ``may_be (N,)`` at that time: whoever takes some of a set clears them there.
+    Each is around a track that ``is_asked (N,)``, first around those that the scene explains worst, of that and the
+    nearest others that ``may_be (N,)`` part of one. By their ``redchi (M,)`` in the scene and on V / Z, that track
+    first, ``is_better`` says whether they are one. What misfits by more than the ``gate`` is no part.
     """
-    asked, n_tried = np.flatnonzero(is_asked), 0
+    near, n_tried, n_found = np.flatnonzero(may_be), 0, 0
+    asked = np.flatnonzero(is_asked[near])
+    if not len(asked):
+        return
+    # Most tracks are around several of those asked, and say the same each time.
+    xy = each_turned_into_plane(views.rays, near, cam_R_past[None], np.zeros(len(near), dtype=np.int64))
+    sums = growth_sums(xy, views.since_s, np.sqrt(median_redchi) * views.sigma_norm[near])
+    xy_px, redchi, is_free = views.xy_px[near], redchi[near], np.ones(len(near), dtype=bool)
     for seed in asked[np.argsort(-redchi[asked], kind="stable")]:
-        if n_tried == most:
-            break
-        if not may_be[seed]:
+        if n_tried == _MOST_SEEDS or n_found == _MOST_THINGS:
+            return
+        if not is_free[seed]:
             continue
         n_tried += 1
-        off_px = xy_px - xy_px[seed]
-        square = np.einsum("ni,ni->n", off_px, off_px)
-        around = np.flatnonzero(may_be & (square < (_LINKS * link_px) ** 2))
-        yield np.asarray(around[np.argsort(square[around], kind="stable")[:_MOST_AROUND]])
-
-
-def _thing_around(
-    history: TrackHistory, around: Ints, redchi: Floats, sigma_norm: Floats, config: BodiesConfig
-) -> Growing | None:
-    """The thing that the first of some tracks (M,) is a part of; None where they show none that comes at us.
-
-    ``redchi, sigma_norm (M,)`` are their reduced chi-squares in the scene, and their noise as the scene shows it.
-    """
-    past = slice(0, history.n_past + 1)
-    xy = turned_into_plane(history.rays[past][:, around], history.cam_R_seen[past])
-    sums = growth_sums(xy, history.since_s[past], sigma_norm)
-    fits = sums.sharing_a_velocity(redchi, config.scene_gate, _LEAST_TRACKS)
-    if fits is None:
-        return None
-    velocity_hz, cov = sums.unknowns(fits)
-    own = sums.redchi_of(velocity_hz)
-    if not fits[0] or (redchi[0] > config.scene_gate and not own[0] < redchi[0] / config.gain):
-        return None
-    cov = max(float(own[fits].mean()), 1.0) * cov + _common_cov(history, around[fits], xy[:, fits])
-    if not -velocity_hz[2] > max(SIGMAS_999 * float(np.sqrt(cov[2, 2])), 1.0 / REACHED_WITHIN_S):
-        return None
-    speed_hz = float(np.linalg.norm(velocity_hz))
-    direction = velocity_hz / speed_hz
-    across = (np.eye(3) - np.outer(direction, direction)) / speed_hz
-    return Growing(np.sort(around[fits]), direction, across @ cov @ across)
-
-
-def _common_cov(history: TrackHistory, members: Ints, xy: Floats) -> Floats:
-    """Covariance (3, 3) of V / Z of some tracks (M,) by what they err by in common: matching, and own rotation.
-
-    ``xy (L, M, 2)`` their places in the plane z = 1.
-    """
-    off_px = history.xy_px[members] - history.xy_px[members].mean(axis=0)
-    seen_s = -history.since_s[np.argmax(np.isfinite(xy[:, :, 0]), axis=0)]
-    radius_px = float(np.sqrt(np.mean(np.sum(off_px**2, axis=1))))
-    ray = np.append(xy[-1].mean(axis=0), 1.0)
-    turned = skew(ray)
-    growth_hz = float(common_growth_hz(np.asarray(radius_px), np.median(seen_s)))
-    return np.asarray(growth_hz**2 * np.outer(ray, ray) + turned @ history.rotation_rate_cov @ turned.T)
+        square = ((xy_px - xy_px[seed]) ** 2).sum(axis=1)
+        around = np.flatnonzero(is_free & (square < (_LINKS * views.link_px) ** 2))
+        around = around[np.argsort(square[around], kind="stable")[:_MOST_AROUND]]
+        of_these, in_scene = sums.of(around), redchi[around]
+        fits = of_these.sharing_a_velocity(in_scene, gate, _LEAST_IN_AIR)
+        if fits is None or not fits[0]:
+            continue
+        velocity_hz, cov = of_these.unknowns(fits)
+        own = of_these.redchi_of(velocity_hz)
+        if not is_better(in_scene[fits], own[fits]):
+            continue
+        members = np.sort(around[fits])
+        seen_s = float(np.median(-views.since_s[np.argmax(np.isfinite(xy[:, members, 0]), axis=0)]))
+        radius_px = np.sqrt(np.mean(np.sum((xy_px[members] - xy_px[members].mean(axis=0)) ** 2, axis=1)))
+        common_hz = common_growth_hz(radius_px, np.asarray(seen_s)) * np.append(xy[-1, members].mean(axis=0), 1.0)
+        # No surer than their misfits leave it, nor than what their matching errs by in common.
+        cov = max(float(own[fits].mean()), 1.0) * cov + np.outer(common_hz, common_hz)
+        if -velocity_hz[2] > max(SIGMAS_999 * math.sqrt(cov[2, 2]), 1.0 / (_REACHED_WITHIN * seen_s)):
+            yield near[members], velocity_hz, cov
+            n_found += 1
+            is_free[members] = False

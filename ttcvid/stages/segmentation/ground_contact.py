@@ -29,8 +29,6 @@ _LEAST_POINTS, _FOOT, _LEAST_UNDER = 4, 3, 2
 # How far a thing reaches beyond its points under the road; a point there with no other one so near is taken for wrong.
 # Both in camera heights: 0.5 m and 1.3 m.
 _BESIDE, _NOT_ALONE = 0.4, 1.0
-ON_ROAD = 0.2
-"""A point may be on the road if its inverse depth is within this share of the road's."""
 # A foot with less than the first share of the road's inverse depth is under the road, with more than the second over
 # it: a road is uneven. Both at so many standard deviations, of the inverse depth and of the road's.
 _UNDER_PART, _HANGING_PART, _FOOT_SIGMAS = 0.85, 1.4, 3.0
@@ -102,7 +100,7 @@ class OnGround:
     @cached_property
     def is_road(self) -> Bools:
         """Whether points ``(N,)`` may be on the road."""
-        return np.asarray(np.abs(self.rate_hz - self.road_hz) < ON_ROAD * self.road_hz)
+        return self.road.may_hold(self.place, self.rate_hz)
 
     @cached_property
     def is_off_road(self) -> Bools:
@@ -130,6 +128,11 @@ class OnGround:
         return np.asarray(part * self.road_hz[index] - rate_hz > tolerance_hz)
 
 
+def depth_tolerance_hz(rate_hz: Floats, sigma_hz: Floats) -> Floats:
+    """Tolerance ``(N,)``, 1/s, within which inverse depths of points belong to one object."""
+    return _ONE_THING * np.abs(rate_hz) + _SIGMAS * sigma_hz
+
+
 def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> Contacts:
     """Objects and their ground contacts, by observations ``xy_px (N, 2)`` of bodies ``key (N,)``.
 
@@ -138,9 +141,9 @@ def find_contacts(xy_px: Floats, link_px: float, seen: OnGround, key: Ints) -> C
     index = np.flatnonzero(seen.known & ~seen.is_far)
     pairs, own_key = linked_pairs(xy_px[index], link_px), key[index]
     pairs = pairs.take(np.flatnonzero(own_key[pairs[:, 0]] == own_key[pairs[:, 1]]), axis=0)
-    tolerance = 0.5 * (_ONE_THING * np.abs(seen.rate_hz[index]) + _SIGMAS * seen.sigma_hz[index])
+    tolerance_hz = depth_tolerance_hz(seen.rate_hz[index], seen.sigma_hz[index])
     label, is_off = np.full(len(index), -1), seen.is_off_road[index]
-    n_things = _surfaces(seen.rate_hz[index], tolerance, is_off, pairs, label)
+    n_things = _surfaces(seen.rate_hz[index], tolerance_hz, is_off, pairs, label)
     is_part = np.flatnonzero(label >= 0)
     is_part = is_part[np.argsort(label[is_part], kind="stable")]
     things = TrackSets(index[is_part], np.bincount(label[is_part], minlength=n_things))
@@ -291,11 +294,11 @@ def _hangs(seen: OnGround, members: Ints, foot: int) -> bool:
 
 
 @compiled_for("(f8[::1], f8[::1], b1[::1], i8[:, ::1], i8[::1])")
-def _surfaces(rate_hz: Floats, tolerance: Floats, is_seed: Bools, pairs: Ints, label: Ints) -> int:
+def _surfaces(rate_hz: Floats, tolerance_hz: Floats, is_seed: Bools, pairs: Ints, label: Ints) -> int:
     """Fill ``label (K,)`` with the surface of each point, -1 without one; return their number.
 
-    A region grows along ``pairs (M, 2)`` from a seed over points of its inverse depth, then again over those of the
-    region's median.
+    A region grows along ``pairs (M, 2)`` from a seed over points of its inverse depth, within ``tolerance_hz (K,)``,
+    then again over those of the region's median.
     """
     # The neighbours of point i, from start[i] to start[i + 1]: counted, since a sort takes several times as long.
     start = np.zeros(len(rate_hz) + 1, dtype=np.int64)
@@ -323,7 +326,7 @@ def _surfaces(rate_hz: Floats, tolerance: Floats, is_seed: Bools, pairs: Ints, l
                 done += 1
                 for place in range(start[i], start[i + 1]):
                     j = beside[place]
-                    if label[j] < 0 and abs(rate_hz[j] - centre) < 2.0 * tolerance[j]:
+                    if label[j] < 0 and abs(rate_hz[j] - centre) < tolerance_hz[j]:
                         members[count], label[j] = j, n_things
                         count += 1
             for place in range(count):

@@ -150,10 +150,9 @@ def _are_displaced(
 ) -> tuple[Bools, Bools]:
     """Whether the present observation of tracks ``(N,)`` is displaced, off the path of their body; and earlier ones.
 
-    Their bodies are ``number (N,)`` as from `numbers_of`, and ``rate_hz (N,)`` their rates in the last frame.
-
-    Earlier ones, ``(L, N)``, are displaced where later ones are on that path again; none if most of a body are, in a
-    view. Of the present one: where the earlier observations do not follow that path, also off their own course.
+    Their bodies are ``number (N,)`` as from `numbers_of`, and ``rate_hz (N,)`` their rates in the last frame. Earlier
+    ones, ``(L, N)``, are displaced where later ones are on that path again; none if most of a body are, in a view. Of
+    the present one: where the earlier observations do not follow that path, also off their own course.
 
     Residuals are judged against the median of their body: if most are large, its last step is wrong. A residual that a
     neighbour shares is none of a single observation: it may belong to a mover not found yet.

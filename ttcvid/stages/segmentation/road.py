@@ -25,6 +25,8 @@ KNOWN_PART, LEAST_VIEWS = 0.1, 4
 # Inverse depths of road points agree within this natural logarithm; a point with less than this share of the road's
 # inverse depth would lie under it, and counts against it.
 _ROAD_SPREAD, _UNDER_PART = 0.08, 0.75
+# A point may be on the road if its inverse depth is within this share of the road's.
+_ON_ROAD = 0.2
 # Points are weighted to equal totals per square of this side (tangent, 3 deg).
 _CELL = 0.05
 # Least number of tracks on a road, and their least share of the weight of all below the horizon.
@@ -97,6 +99,11 @@ class Road:
     def slope_hz(self) -> float:
         """Growth of the inverse depth per tangent downwards, 1/s: our speed in heights of the camera."""
         return float(self.plane[2])
+
+    def may_hold(self, place: Floats, rate_hz: Floats) -> Bools:
+        """Whether points ``(N,)`` at ``place (N, 2)`` may be on the road, by their inverse depths."""
+        road_hz = self.rate_hz(place)
+        return np.asarray(np.abs(rate_hz - road_hz) < _ON_ROAD * road_hz)
 
     def below(self, place: Floats) -> Floats:
         """How far ``place (..., 2)`` is below the horizon of the tangential plane, a tangent."""

@@ -13,7 +13,7 @@ import numpy as np
 from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.model import Bools, Floats, Ints
 from ttcvid.stages.segmentation.body_views import BodyViews
-from ttcvid.stages.segmentation.ground_contact import ON_ROAD, Contacts, OnGround, find_contacts
+from ttcvid.stages.segmentation.ground_contact import Contacts, OnGround, find_contacts
 from ttcvid.stages.segmentation.road import KNOWN_PART, LEAST_BELOW, LEAST_VIEWS, Road, RoadPoints, find_road
 from ttcvid.stages.tracking.groups import places_among
 
@@ -28,14 +28,14 @@ class RoadMemory:
 
     track_id, evidence : ``(N,)`` evidence of each track against being static, in 0 to 1, by its ground contact.
     by_speed : ``(N,)`` evidence by a change of its speed (`stages.segmentation.speed_changes`).
-    ground : the road as from `find_road`; None: not found.
+    road : the road as from `find_road`; None: not found.
     seen : what it was fitted to.
     """
 
     track_id: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     evidence: Floats = field(default_factory=lambda: np.empty(0))
     by_speed: Floats = field(default_factory=lambda: np.empty(0))
-    ground: Road | None = None
+    road: Road | None = None
     seen: RoadPoints = field(default_factory=RoadPoints)
 
 
@@ -81,9 +81,9 @@ def _shared_evidence(evidence: Floats, is_old: Bools, contacts: Contacts) -> Flo
 
 
 def on_road(fit: PathFit, memory: RoadMemory) -> Bools:
-    """Whether points ``(N,)`` have the inverse depth of the road; none without one."""
-    if memory.ground is None:
+    """Whether points ``(N,)`` may be on the road that was found, surely below its horizon; none without one."""
+    road = memory.road
+    if road is None:
         return np.zeros(len(fit.rate_hz), dtype=bool)
-    road_hz = memory.ground.rate_hz(fit.place)
-    is_below = road_hz > LEAST_BELOW * memory.ground.slope_hz
-    return np.asarray(is_below & (np.abs(fit.rate_hz - road_hz) < ON_ROAD * road_hz))
+    is_below = road.rate_hz(fit.place) > LEAST_BELOW * road.slope_hz
+    return np.asarray(is_below & road.may_hold(fit.place, fit.rate_hz))

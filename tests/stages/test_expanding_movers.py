@@ -12,8 +12,7 @@ from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths, vi
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
 from ttcvid.stages.segmentation.births import new_movers
 from ttcvid.stages.segmentation.body_views import body_views
-from ttcvid.stages.segmentation.diverging_flow import expanding_movers, least_tracks
-from ttcvid.stages.segmentation.expansion import LEAST_VIEWS
+from ttcvid.stages.segmentation.expansion import LEAST_VIEWS, expanding_movers, least_tracks
 from ttcvid.stages.segmentation.road_evidence import RoadMemory
 from ttcvid.stages.segmentation.scene import SeenScene
 
