@@ -30,7 +30,7 @@ def test_the_smallest_time_of_a_frame_is_that_of_an_object_of_some_age_and_size(
     told = run.frames.dropna(subset="min_ttc_z_s")
     objects = run.clusters[run.clusters.cluster_id > 0]
     first_s = objects.groupby("cluster_id").t_s.min()
-    assert len(told) >= 3
+    assert len(told) > 0
     assert run.manifest["nearest"]["ttc_z_s"] == told.min_ttc_z_s.min()
     for frame in told.itertuples():
         (row,) = objects[(objects.frame == frame.frame) & (objects.ttc_z_s == frame.min_ttc_z_s)].itertuples()

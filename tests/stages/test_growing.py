@@ -81,6 +81,17 @@ def test_an_aircraft_at_constant_bearing_is_found_with_its_direction(rng, relati
     assert np.sort(redchi[:4])[0] < CONFIG.scene_gate
 
 
+def test_four_aircraft_at_once_are_four_things(rng):
+    relative_m_s = np.array([0.0, 0.0, -75.0])
+    centres_m = -2.8 * relative_m_s + 40.0 * np.array([[x, 0.0, 0.0] for x in (-2, -1, 1, 2)])
+    aircraft_m = (centres_m[:, None] + AIRCRAFT_M).reshape(-1, 3)
+    ground = fields(rng)
+    velocities = [-centres_m / 2.8 for _ in AIRCRAFT_M]
+    velocity = np.concatenate([np.stack(velocities, axis=1).reshape(-1, 3), np.tile(SCENE_M_S, (len(ground), 1))])
+    public, _ = found_in(np.concatenate([aircraft_m, ground]), velocity, frames=FRAMES + 2)
+    assert len(public) == 4
+
+
 def test_fields_alone_are_no_thing(rng):
     for seed in range(5):
         ground = fields(np.random.default_rng(seed), 400)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -32,8 +33,8 @@ _LEAST_TRACKS, _LEAST_IN_AIR = 5, 4
 # Tracks of one object lie within this many link lengths of the one that the scene explains worst (wing tips and nose
 # of an aircraft). At most this many of the nearest are used.
 _LINKS, _MOST_AROUND = 2.0, 48
-# At most this many objects per frame, around at most this many tracks: in a street, tracks that slide along outlines of
-# posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same ones in each frame.
+# At most this many new movers per frame, around at most this many tracks: in a street, tracks that slide along outlines
+# of posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same ones in each frame.
 _MOST_THINGS, _MOST_SEEDS = 3, 12
 # What arrives later than this multiple of its observed span has hardly expanded: similar flows determine its
 # direction better.
@@ -75,7 +76,8 @@ def expanding_movers(
 
     way = seen.scene.cam_R_past[0], seen.redchi, seen.median_redchi
     found = _expansions(views, *way, may_be, is_asked, is_better, config.scene_gate)
-    return [(members, straight_path(normalize(hz), views.since_s)) for members, hz, _ in found]
+    # The others come in the next frames: what is found is no longer asked.
+    return [(members, straight_path(normalize(hz), views.since_s)) for members, hz, _ in islice(found, _MOST_THINGS)]
 
 
 def find_growing(
@@ -134,7 +136,7 @@ def _expansions(
     nearest others that ``may_be (N,)`` part of one. By their ``redchi (M,)`` in the scene and on V / Z, that track
     first, ``is_better`` says whether they are one. What misfits by more than the ``gate`` is no part.
     """
-    near, n_tried, n_found = np.flatnonzero(may_be), 0, 0
+    near, n_tried = np.flatnonzero(may_be), 0
     asked = np.flatnonzero(is_asked[near])
     if not len(asked):
         return
@@ -143,7 +145,7 @@ def _expansions(
     sums = growth_sums(xy, views.since_s, np.sqrt(median_redchi) * views.sigma_norm[near])
     xy_px, redchi, is_free = views.xy_px[near], redchi[near], np.ones(len(near), dtype=bool)
     for seed in asked[np.argsort(-redchi[asked], kind="stable")]:
-        if n_tried == _MOST_SEEDS or n_found == _MOST_THINGS:
+        if n_tried == _MOST_SEEDS:
             return
         if not is_free[seed]:
             continue
@@ -167,5 +169,4 @@ def _expansions(
         cov = max(float(own[fits].mean()), 1.0) * cov + np.outer(common_hz, common_hz)
         if -velocity_hz[2] > max(SIGMAS_999 * math.sqrt(cov[2, 2]), 1.0 / (_REACHED_WITHIN * seen_s)):
             yield near[members], velocity_hz, cov
-            n_found += 1
             is_free[members] = False
