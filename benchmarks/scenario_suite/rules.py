@@ -117,7 +117,7 @@ RULES: dict[str, Rule] = {
         "new movers that keep their bearing and spread",
         "births",
         {"stages.segmentation.expansion.expanding_movers": lambda *_, **__: []},
-        _stage("segmentation/expansion"),
+        (),
     ),
     "growing": Rule(
         "what comes straight at us and grows",

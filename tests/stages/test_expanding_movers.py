@@ -96,6 +96,19 @@ def test_six_of_its_tracks_are_enough_in_nineteen_of_twenty_draws():
     assert n_found >= 19
 
 
+def test_three_of_its_tracks_are_enough_where_new_movers_need_no_more():
+    # As before a camera on a mast.
+    n_found, config = 0, CONFIG.model_copy(update={"min_tracks": 3})
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        views, scene, fit = views_and_fit(*street_with(box_of_points(rng, 3, AT_M, CAR_M), TO_US_M_S, rng), rng)
+        seen = SimpleNamespace(scene=scene, redchi=fit.redchi, median_redchi=1.0)
+        seeds = np.flatnonzero(fit.redchi > config.scene_gate)
+        things = expanding_movers(views, seen, fit.n_views >= LEAST_VIEWS, seeds, config)
+        n_found += any(np.count_nonzero(members < 3) == 3 for members, _ in things)
+    assert n_found >= 10
+
+
 def test_a_walker_is_found_by_all_his_tracks_together_where_few_contradict_the_scene_one_by_one():
     # 4.4 s before he is hit, on collision course; at this distance head and feet alone leave the scene's paths.
     n_found, velocity_m_s, n = 0, np.array([1.2, 0.0, -10.0]), 16

@@ -1,14 +1,19 @@
 """What comes straight at us and is small: found by the few tracks that it has, and nothing else is taken for it."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from relative_motion import history_of
 
-from ttcvid.config import BodiesConfig
+from ttcvid.config import BodiesConfig, PipelineConfig
 from ttcvid.geometry.estimation.rigid_motion import RigidPaths, fit_on_paths
 from ttcvid.geometry.estimation.track_on_trajectory import straight_path
+from ttcvid.stages.objects.surface_motions import growing_things
 from ttcvid.stages.segmentation.body_views import body_views
 from ttcvid.stages.segmentation.expansion import find_growing
+from ttcvid.stages.segmentation.labels import BodyMemory
 
 CONFIG, LINK_PX, SIGMA_PX = BodiesConfig(), 32.0, 0.1
 # After so many frames four tracks are a thing.
@@ -90,6 +95,35 @@ def test_four_aircraft_at_once_are_four_things(rng):
     velocity = np.concatenate([np.stack(velocities, axis=1).reshape(-1, 3), np.tile(SCENE_M_S, (len(ground), 1))])
     public, _ = found_in(np.concatenate([aircraft_m, ground]), velocity, frames=FRAMES + 2)
     assert len(public) == 4
+
+
+def test_tracks_of_which_only_the_present_view_is_left_are_no_part_of_a_thing(rng):
+    relative_m_s = np.array([-20.0, 0.0, -75.0])
+    where, velocity = encounter(-2.8 * relative_m_s, relative_m_s, rng)
+    history = history_of(where, velocity, TIMES_S, sigma_px=SIGMA_PX, rng=rng)
+    rays = history.rays.copy()
+    rays[:-1, 1:4] = np.nan
+    history, n = replace(history, rays=rays), len(where)
+    views = body_views(history, np.ones(n, dtype=bool), LINK_PX, can_translate=True)
+    odd, every = np.full(n, 2.0 * CONFIG.scene_gate), np.ones(n, dtype=bool)
+    assert find_growing((), history, odd, 1.0, every, views, 1, CONFIG) == ({}, (), 1)
+
+
+def test_an_earlier_view_that_was_found_displaced_does_not_hide_an_aircraft(rng):
+    relative_m_s = np.array([-20.0, 0.0, -75.0])
+    where, velocity = encounter(-2.8 * relative_m_s, relative_m_s, rng)
+    history = history_of(where, velocity, TIMES_S, sigma_px=SIGMA_PX, rng=rng)
+    rays, n = history.rays.copy(), len(where)
+    rays[8, :4, 0] += 8.0 / history.focal_px
+    views = body_views(replace(history, rays=rays), np.ones(n, dtype=bool), LINK_PX, can_translate=True)
+    rays = rays.copy()
+    rays[8, :4] = np.nan
+    history = replace(history, rays=rays)
+    seen = SimpleNamespace(redchi=np.append(np.full(4, 2.0 * CONFIG.scene_gate), np.ones(n - 4)), median_redchi=1.0)
+    found, memory = SimpleNamespace(seen=seen, key=np.zeros(n, dtype=int)), BodyMemory()
+    for _ in range(FRAMES):
+        motions, memory = growing_things(history, views, found, np.ones(n, dtype=bool), memory, PipelineConfig())
+    assert [len(motion.members) for motion in motions] == [4]
 
 
 def test_fields_alone_are_no_thing(rng):

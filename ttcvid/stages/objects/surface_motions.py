@@ -78,6 +78,8 @@ def growing_things(
 ) -> tuple[list[ClusterMotion], BodyMemory]:
     """What comes straight at us on a way of its own, as objects; and the memory with them."""
     on_scene = found.seen.redchi, found.seen.median_redchi, (found.key == SCENE_CLUSTER) & is_free
+    # Of the displaced observations those of earlier views are taken out by now.
+    views = replace(views, rays=history.rays)
     before, number, how = memory.growing, memory.next_cluster_id, (Status.ok, "whole-tracks")
     public, growing, next_id = find_growing(before, history, *on_scene, views, number, config.bodies)
     motions = [

@@ -82,8 +82,8 @@ def _explained(
 
     Each of the ``things`` is its tracks ``(M,)`` and trajectory ``(L, 3)``. It has to explain at least ``needed`` of
     its tracks, and ``least_part`` of them, better than the scene by the ``gain``, and to save together as much as so
-    many tracks with a large chi-square do. ``is_along (N,)`` tracks contradict the scene by their depth alone, which
-    was judged already: no trajectory explains them worse than the scene's own.
+    many tracks with a large chi-square do. ``is_along (N,)`` tracks contradict the scene by their depth alone: a thing
+    with one of them starts on the scene's own trajectory.
 
     Returned as by `new_movers`, with the tracks that are explained significantly better.
     """

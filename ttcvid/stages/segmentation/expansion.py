@@ -33,8 +33,8 @@ _LEAST_TRACKS, _LEAST_IN_AIR = 5, 4
 # Tracks of one object lie within this many link lengths of the one that the scene explains worst (wing tips and nose
 # of an aircraft). At most this many of the nearest are used.
 _LINKS, _MOST_AROUND = 2.0, 48
-# At most this many new movers per frame, around at most this many tracks: in a street, tracks that slide along outlines
-# of posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same ones in each frame.
+# At most this many new movers per frame; of all, around at most this many tracks. In a street, tracks that slide along
+# outlines of posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same each frame.
 _MOST_THINGS, _MOST_SEEDS = 3, 12
 # What arrives later than this multiple of its observed span has hardly expanded: similar flows determine its
 # direction better.
@@ -71,12 +71,10 @@ def expanding_movers(
     is_asked, needed = may_be & np.isin(np.arange(len(may_be)), seeds), least_tracks(config)
 
     def is_better(in_scene: Floats, own: Floats) -> bool:
-        saved = float((cost_of(in_scene) - cost_of(own)).sum())
-        return len(own) >= needed and saved >= needed * math.log(config.gain)
+        return float((cost_of(in_scene) - cost_of(own)).sum()) >= needed * math.log(config.gain)
 
     way = seen.scene.cam_R_past[0], seen.redchi, seen.median_redchi
-    found = _expansions(views, *way, may_be, is_asked, is_better, config.scene_gate)
-    # The others come in the next frames: what is found is no longer asked.
+    found = _expansions(views, *way, may_be, is_asked, is_better, (needed, config.scene_gate))
     return [(members, straight_path(normalize(hz), views.since_s)) for members, hz, _ in islice(found, _MOST_THINGS)]
 
 
@@ -95,7 +93,7 @@ def find_growing(
     ``before`` is what the last frame remembered, ``views`` are those of the N tracks of the ``history``; ``redchi
     (N,)`` in the scene, in units of the ``median_redchi``; ``in_scene (N,)`` tracks are of no mover.
     """
-    may_be = in_scene & (history.n_frames >= LEAST_VIEWS)
+    may_be = in_scene & (np.isfinite(views.rays[..., 0]).sum(axis=0) >= LEAST_VIEWS)
     # Around tracks that contradict the scene, or are known to be part of such a thing.
     is_asked = may_be & ((redchi > config.scene_gate) | np.isin(history.track_id, tracks_of(before)))
     things, is_free, gate = list[Growing](), in_scene.copy(), config.scene_gate
@@ -104,7 +102,7 @@ def find_growing(
         return bool(in_scene[0] <= gate or own[0] < in_scene[0] / config.gain)
 
     way = history.cam_R_seen, redchi, median_redchi
-    for members, velocity_hz, cov in _expansions(views, *way, may_be, is_asked, is_better, gate):
+    for members, velocity_hz, cov in _expansions(views, *way, may_be, is_asked, is_better, (_LEAST_IN_AIR, gate)):
         turned = skew(np.append(views.xy[members].mean(axis=0), 1.0))
         cov = cov + turned @ history.rotation_rate_cov @ turned.T
         direction = normalize(velocity_hz)
@@ -128,15 +126,15 @@ def _expansions(
     may_be: Bools,
     is_asked: Bools,
     is_better: Callable[[Floats, Floats], bool],
-    gate: float,
+    limits: tuple[int, float],
 ) -> Iterator[tuple[Ints, Floats, Floats]]:
     """Things that come nearer: tracks (M,), V / Z (3,) and its covariance (3, 3) of each, in 1/s.
 
     Each is around a track that ``is_asked (N,)``, first around those that the scene explains worst, of that and the
     nearest others that ``may_be (N,)`` part of one. By their ``redchi (M,)`` in the scene and on V / Z, that track
-    first, ``is_better`` says whether they are one. What misfits by more than the ``gate`` is no part.
+    first, ``is_better`` says whether they are one. ``limits`` are their least number and their largest misfit.
     """
-    near, n_tried = np.flatnonzero(may_be), 0
+    near, n_tried, (least, most_redchi) = np.flatnonzero(may_be), 0, limits
     asked = np.flatnonzero(is_asked[near])
     if not len(asked):
         return
@@ -154,7 +152,7 @@ def _expansions(
         around = np.flatnonzero(is_free & (square < (_LINKS * views.link_px) ** 2))
         around = around[np.argsort(square[around], kind="stable")[:_MOST_AROUND]]
         of_these, in_scene = sums.of(around), redchi[around]
-        fits = of_these.sharing_a_velocity(in_scene, gate, _LEAST_IN_AIR)
+        fits = of_these.sharing_a_velocity(in_scene, most_redchi, least)
         if fits is None or not fits[0]:
             continue
         velocity_hz, cov = of_these.unknowns(fits)
