@@ -7,8 +7,7 @@ import pytest
 
 from ttcvid.geometry.estimation.rigid_motion import PathFit
 from ttcvid.stages.segmentation import road
-from ttcvid.stages.segmentation.road import Road, RoadPoints, find_road
-from ttcvid.stages.segmentation.road_evidence import RoadMemory, on_road
+from ttcvid.stages.segmentation.road import Road, RoadPoints, find_road, on_road
 
 SPEED_M_S, CAMERA_M = 10.0, 1.4
 AHEAD = np.zeros(2)
@@ -45,13 +44,13 @@ def test_the_road_is_the_plane_at_the_cameras_height():
 
 def test_points_of_the_road_lie_on_it_and_those_of_a_wall_that_stands_there_do_not():
     fit = road_and_wall(np.random.default_rng(2))
-    lies = on_road(fit, RoadMemory(road=road_of(fit)))
+    lies = on_road(fit, road_of(fit))
     assert lies[:80].all()
     assert not lies[80:].any()
 
 
 def test_without_a_road_nothing_lies_on_it():
-    assert not on_road(road_and_wall(np.random.default_rng(3)), RoadMemory()).any()
+    assert not on_road(road_and_wall(np.random.default_rng(3)), None).any()
 
 
 def test_an_aircraft_below_our_way_whose_belly_is_a_little_nearer_is_no_road():

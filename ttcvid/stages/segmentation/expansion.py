@@ -36,8 +36,7 @@ _LINKS, _MOST_AROUND = 2.0, 48
 # At most this many new movers per frame; of all, around at most this many tracks. In a street, tracks that slide along
 # outlines of posts and trees contradict the scene more than a pedestrian does, some ten at a time, the same each frame.
 _MOST_THINGS, _MOST_SEEDS = 3, 12
-# What arrives later than this multiple of its observed span has hardly expanded: similar flows determine its
-# direction better.
+# What arrives later than this multiple of its observed span has hardly expanded yet: its direction is not told by that.
 _REACHED_WITHIN = 6.0
 
 
@@ -70,11 +69,11 @@ def expanding_movers(
     """
     is_asked, needed = may_be & np.isin(np.arange(len(may_be)), seeds), least_tracks(config)
 
-    def is_better(in_scene: Floats, own: Floats) -> bool:
-        return float((cost_of(in_scene) - cost_of(own)).sum()) >= needed * math.log(config.gain)
+    def is_better(by_scene: Floats, by_own: Floats) -> bool:
+        return float((cost_of(by_scene) - cost_of(by_own)).sum()) >= needed * math.log(config.gain)
 
-    way = seen.scene.cam_R_past[0], seen.redchi, seen.median_redchi
-    found = _expansions(views, *way, may_be, is_asked, is_better, (needed, config.scene_gate))
+    on_scene = seen.scene.cam_R_past[0], seen.redchi, seen.median_redchi
+    found = _expansions(views, *on_scene, may_be, is_asked, is_better, (needed, config.scene_gate))
     return [(members, straight_path(normalize(hz), views.since_s)) for members, hz, _ in islice(found, _MOST_THINGS)]
 
 
@@ -98,11 +97,11 @@ def find_growing(
     is_asked = may_be & ((redchi > config.scene_gate) | np.isin(history.track_id, tracks_of(before)))
     things, is_free, gate = list[Growing](), in_scene.copy(), config.scene_gate
 
-    def is_better(in_scene: Floats, own: Floats) -> bool:
-        return bool(in_scene[0] <= gate or own[0] < in_scene[0] / config.gain)
+    def is_better(by_scene: Floats, by_own: Floats) -> bool:
+        return bool(by_scene[0] <= gate or by_own[0] < by_scene[0] / config.gain)
 
-    way = history.cam_R_seen, redchi, median_redchi
-    for members, velocity_hz, cov in _expansions(views, *way, may_be, is_asked, is_better, (_LEAST_IN_AIR, gate)):
+    on_scene = history.cam_R_seen, redchi, median_redchi
+    for members, velocity_hz, cov in _expansions(views, *on_scene, may_be, is_asked, is_better, (_LEAST_IN_AIR, gate)):
         turned = skew(np.append(views.xy[members].mean(axis=0), 1.0))
         cov = cov + turned @ history.rotation_rate_cov @ turned.T
         direction = normalize(velocity_hz)
@@ -151,20 +150,20 @@ def _expansions(
         square = ((xy_px - xy_px[seed]) ** 2).sum(axis=1)
         around = np.flatnonzero(is_free & (square < (_LINKS * views.link_px) ** 2))
         around = around[np.argsort(square[around], kind="stable")[:_MOST_AROUND]]
-        of_these, in_scene = sums.of(around), redchi[around]
-        fits = of_these.sharing_a_velocity(in_scene, most_redchi, least)
+        of_these, by_scene = sums.of(around), redchi[around]
+        fits = of_these.sharing_a_velocity(by_scene, most_redchi, least)
         if fits is None or not fits[0]:
             continue
         velocity_hz, cov = of_these.unknowns(fits)
-        own = of_these.redchi_of(velocity_hz)
-        if not is_better(in_scene[fits], own[fits]):
+        by_own = of_these.redchi_of(velocity_hz)
+        if not is_better(by_scene[fits], by_own[fits]):
             continue
         members = np.sort(around[fits])
         seen_s = float(np.median(-views.since_s[np.argmax(np.isfinite(xy[:, members, 0]), axis=0)]))
         radius_px = np.sqrt(np.mean(np.sum((xy_px[members] - xy_px[members].mean(axis=0)) ** 2, axis=1)))
         common_hz = common_growth_hz(radius_px, np.asarray(seen_s)) * np.append(xy[-1, members].mean(axis=0), 1.0)
         # No surer than their misfits leave it, nor than what their matching errs by in common.
-        cov = max(float(own[fits].mean()), 1.0) * cov + np.outer(common_hz, common_hz)
+        cov = max(float(by_own[fits].mean()), 1.0) * cov + np.outer(common_hz, common_hz)
         if -velocity_hz[2] > max(SIGMAS_999 * math.sqrt(cov[2, 2]), 1.0 / (_REACHED_WITHIN * seen_s)):
             yield near[members], velocity_hz, cov
             is_free[members] = False

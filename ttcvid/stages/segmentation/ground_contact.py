@@ -17,7 +17,7 @@ from ttcvid.compiled import compiled_for
 from ttcvid.geometry.kernels.medians import median as compiled_median
 from ttcvid.geometry.medians import median
 from ttcvid.model import Bools, Floats, Ints
-from ttcvid.stages.segmentation.road import Road
+from ttcvid.stages.segmentation.road import Road, may_be_road
 from ttcvid.stages.tracking.groups import TrackSets
 from ttcvid.stages.tracking.neighbours import connected_parts, linked_pairs
 
@@ -100,7 +100,7 @@ class OnGround:
     @cached_property
     def is_road(self) -> Bools:
         """Whether points ``(N,)`` may be on the road."""
-        return self.road.may_hold(self.place, self.rate_hz)
+        return may_be_road(self.rate_hz, self.road_hz)
 
     @cached_property
     def is_off_road(self) -> Bools:

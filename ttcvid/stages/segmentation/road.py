@@ -100,11 +100,6 @@ class Road:
         """Growth of the inverse depth per tangent downwards, 1/s: our speed in heights of the camera."""
         return float(self.plane[2])
 
-    def may_hold(self, place: Floats, rate_hz: Floats) -> Bools:
-        """Whether points ``(N,)`` at ``place (N, 2)`` may be on the road, by their inverse depths."""
-        road_hz = self.rate_hz(place)
-        return np.asarray(np.abs(rate_hz - road_hz) < _ON_ROAD * road_hz)
-
     def below(self, place: Floats) -> Floats:
         """How far ``place (..., 2)`` is below the horizon of the tangential plane, a tangent."""
         return np.asarray((self.plane[0] + place @ self.plane[1:]) / self.plane[2])
@@ -140,6 +135,19 @@ class Road:
     def at_speed(self, speed: float) -> Road:
         """The road with its rates in another unit of speed: ``speed`` is that of the present one."""
         return replace(self, plane=speed * self.plane, cov=speed**2 * self.cov)
+
+
+def may_be_road(rate_hz: Floats, road_hz: Floats) -> Bools:
+    """Whether points ``(N,)`` may be on the road, by their inverse depths and those of the road there."""
+    return np.asarray(np.abs(rate_hz - road_hz) < _ON_ROAD * road_hz)
+
+
+def on_road(fit: PathFit, road: Road | None) -> Bools:
+    """Whether points ``(N,)`` may be on the road that was found, surely below its horizon; none without one."""
+    if road is None:
+        return np.zeros(len(fit.rate_hz), dtype=bool)
+    road_hz = road.rate_hz(fit.place)
+    return (road_hz > LEAST_BELOW * road.slope_hz) & may_be_road(fit.rate_hz, road_hz)
 
 
 def find_road(seen: RoadPoints, aim: Floats) -> Road | None:

@@ -78,12 +78,3 @@ def _shared_evidence(evidence: Floats, is_old: Bools, contacts: Contacts) -> Flo
     mean = np.where(says, _FORGETTING * mean + (1.0 - _FORGETTING) * contacts.contradicts, _NOTHING_SAID * mean)
     new[own] = mean[thing]
     return new
-
-
-def on_road(fit: PathFit, memory: RoadMemory) -> Bools:
-    """Whether points ``(N,)`` may be on the road that was found, surely below its horizon; none without one."""
-    road = memory.road
-    if road is None:
-        return np.zeros(len(fit.rate_hz), dtype=bool)
-    is_below = road.rate_hz(fit.place) > LEAST_BELOW * road.slope_hz
-    return np.asarray(is_below & road.may_hold(fit.place, fit.rate_hz))

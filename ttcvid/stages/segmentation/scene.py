@@ -17,7 +17,8 @@ from ttcvid.stages.egomotion.relative_pose import Egomotion, picture_region, reg
 from ttcvid.stages.segmentation.bodies import carried_forward, recent_speed, refined_scene, with_unit_speed
 from ttcvid.stages.segmentation.body_views import BodyViews
 from ttcvid.stages.segmentation.fixed_to_camera import FOLLOWS, ride_odds
-from ttcvid.stages.segmentation.road_evidence import RoadMemory, gathered_evidence, on_road
+from ttcvid.stages.segmentation.road import on_road
+from ttcvid.stages.segmentation.road_evidence import RoadMemory, gathered_evidence
 from ttcvid.stages.segmentation.speed_changes import change_speed
 from ttcvid.stages.tracking.history import TrackHistory
 
@@ -128,7 +129,7 @@ def see_scene(
         before_hz = road_before.seen.rate_hz * speed
         road_before = replace(road_before, seen=replace(road_before.seen, rate_hz=before_hz))
         road = gathered_evidence(road_before, history.track_id, views, fit, alike, in_scene, aim)
-        is_road = on_road(fit, road)
+        is_road = on_road(fit, road.road)
         changes = change_speed(views, scene, fit, key, (redchi < config.scene_gate) & ~is_road)
         road = replace(road, by_speed=np.where(changes, 1.0, road.by_speed))
         redchi = _with_contradictions(redchi, road, is_road, key, fit.n_views, config)

@@ -3,7 +3,7 @@
 A mover along our own direction looks like a static object as long as it keeps its speed. Where it changes that, its
 tracks leave the path of the scene by a distance that grows with the square of the time: each by little, and all alike.
 What is known as a mover stays one by that, even where its foot is on the road at the depth of a static object. No mover
-starts by it: on real streets many tracks slide along kerbs and outlines as if they changed their speed.
+starts by it, but of tracks that one just lost: on real streets many slide along kerbs as if they changed their speed.
 """
 
 from __future__ import annotations
