@@ -39,13 +39,10 @@ class Course:
     probability : that it is a collision course: the object approaches, reaches us within `_WATCHED_TTC` times the limit
         and passes nearer than the limit of the miss distance.
     is_soon : whether it is reached within the limit itself.
-    miss_widths : best estimate of the vector from the camera to the closest approach, camera frame, in widths of the
-        object; NaN where it does not approach.
     """
 
     probability: float
     is_soon: bool = False
-    miss_widths: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -87,7 +84,7 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     later_hz = 1.0 / tcpa_s - 1.0 / (_WATCHED_TTC * config.max_ttc_s)
     in_time = float(ndtr(later_hz / max(math.sqrt(cov[2, 2]), _TINY)))
     is_soon = tcpa_s <= config.max_ttc_s
-    return Course(approach_probability(abc_hz, cov) * hits * in_time, is_soon, tuple(off_widths))
+    return Course(approach_probability(abc_hz, cov) * hits * in_time, is_soon)
 
 
 def _passes_below(row: ClusterRow, abc_hz: Floats, view: Viewpoint) -> bool:

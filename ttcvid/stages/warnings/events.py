@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import expit, logit, stdtrit
+from scipy.special import expit, logit
 
 from ttcvid.config import EventsConfig
-from ttcvid.model import ClusterRow, Event, Floats, MotionState
+from ttcvid.model import ClusterRow, Event, MotionState
 from ttcvid.stages.segmentation.bodies import ROUNDING_S
 from ttcvid.stages.warnings.course import Course, Viewpoint, approach_probability, course_of
 
@@ -18,9 +18,6 @@ _HIDDEN = 3.0
 # Probability that a course changes within a persistence, over that of a wrong warning (one less the confidence), and
 # the most that it may be: more would keep what is surely on collision course from ever being warned of.
 _CHANGES, _MOST_CHANGES = 2.5, 0.25
-# The time that is left falls by a second each second, and by half of one under brakes that stop just before the object
-# (Lee 1976, tau-dot): what surely falls more slowly than this, over this time, is not reached.
-_LEAST_FALL, _TREND_S, _SURELY = 0.5, 1.0, 0.95
 # An object is re-identified with a lost one if their boxes overlap by this share of the smaller one.
 _SAME_PLACE = 0.3
 # A warning asks for at least this probability: below it nothing would have to be gathered.
@@ -29,8 +26,8 @@ _LEAST_ASKED = 0.6
 _EVEN = 0.5
 # A step between frames this many times as long as the usual one is a gap.
 _STALLED = 1.5
-# A shorter miss vector has no direction, widths.
-_TINY = 1e-9
+# A state rests on the views of the last frames, open ones too: it speaks for as much of them, in persistences.
+_MOST_OPEN = 0.5
 # Log odds grow to this many times those that a warning asks for: what ends has to be told in time.
 _HIGHEST = 1.6
 
@@ -41,17 +38,15 @@ class WatchedObject:
 
     log_odds : of a collision course, by all frames so far.
     last_s : presentation time at which its course was known last.
+    open_s : how long since then it was seen without its course being known.
     box_px : its box at ``last_s``: left, top, right, bottom.
-    recent : ``(t_s, tcpa_s, *miss_widths)`` of each frame of the last ``persistence_s`` in which it was probable.
-    times_left : ``(t_s, tcpa_s)`` of each frame of the last `_TREND_S` in which it approached.
     event : its warning; None before it starts.
     """
 
     log_odds: float
     last_s: float
     box_px: tuple[float, float, float, float]
-    recent: tuple[tuple[float, ...], ...] = ()
-    times_left: tuple[tuple[float, float], ...] = ()
+    open_s: float = 0.0
     event: Event | None = None
 
 
@@ -80,9 +75,9 @@ def update_events(
     probabilities of its frames (`course_of`) add up; errors of neighbouring frames are correlated, so that they count
     per ``persistence_s`` and not per frame, and that time is needed however sure the frames are. At first it is none
     with a probability of ``confidence``. A warning starts where the object is on collision course with this
-    probability, soon by this frame, unless the last ones contradict it (`_turns_away`, `_stays_ahead`); it ends where
-    it is none with the same probability. A frame in which the course is open, or the object has no value, counts for
-    nothing. A warned object that reappears under another ``cluster_id`` is warned of at once.
+    probability, soon by this frame; it ends where it is none with the same probability. A frame in which the course is
+    open counts for nothing by itself, but the next one speaks for it, too (`_MOST_OPEN`). A warned object that
+    reappears under another ``cluster_id`` is warned of at once.
 
     Where ``step_s``, the usual time between frames, exceeds the persistence, a single step is no gap.
     """
@@ -100,14 +95,14 @@ def update_events(
         course = None if row is None else course_of(row, view, config)
         if row is None or course is None:
             if before is not None:
-                watched[cluster_id] = before
+                watched[cluster_id] = before if row is None else replace(before, open_s=before.open_s + looked_s)
             continue
         if before is None:
             # It may be one that is lost, whose last box overlaps this one.
             lost = (number for number in watched if number not in rows)
             lost = (number for number in lost if _common_part(row.box_px, watched[number].box_px) > _SAME_PLACE)
             lost_id = next(lost, None)
-            before = None if lost_id is None else replace(watched.pop(lost_id), event=None, times_left=())
+            before = None if lost_id is None else replace(watched.pop(lost_id), event=None)
         now = _watched(before, course, row, t_s, looked_s, config)
         is_probable = course.probability > _EVEN
         is_sure = is_probable and course.is_soon and now.log_odds >= _asked(config)
@@ -115,7 +110,7 @@ def update_events(
             ends = now.log_odds <= -_asked(config)
             event = _continued(now.event, row, frame, t_s) if is_probable else now.event
             now = replace(now, event=None if ends else event)
-        elif is_sure and not _turns_away(now, t_s, config) and not _stays_ahead(now):
+        elif is_sure:
             now = replace(now, event=_started(next_event_id, row, frame, t_s))
             next_event_id += 1
         watched[cluster_id] = now
@@ -128,71 +123,22 @@ def _watched(
 ) -> WatchedObject:
     """The object with this frame added; its warning is not touched."""
     asked = _asked(config)
-    recent = () if before is None else tuple(one for one in before.recent if one[0] >= t_s - _gone_s(config))
-    since_s = t_s - _TREND_S - ROUNDING_S
-    times_left = () if before is None else tuple(one for one in before.times_left if one[0] >= since_s)
-    tcpa_s = float(row.times.tcpa_s[0])
-    if 0.0 < tcpa_s < math.inf:
-        times_left = (*times_left, (t_s, tcpa_s))
-    if course.probability > _EVEN:
-        recent = (*recent, (t_s, tcpa_s, *course.miss_widths))
     if before is None:
-        return WatchedObject(-asked, t_s, row.box_px, recent, times_left)
+        return WatchedObject(-asked, t_s, row.box_px)
     at_first = float(expit(-asked))
     changes = min(_CHANGES * at_first, _MOST_CHANGES) / config.persistence_s
     lasts = math.exp(changes * (before.last_s - t_s))
     odds = float(logit(at_first + lasts * (float(expit(before.log_odds)) - at_first)))
     # However sure its frames are, a warning takes the persistence: their errors are common to neighbouring frames.
     told = float(np.clip(logit(course.probability), -2.0 * asked, 2.0 * asked))
+    looked_s = max(looked_s, min(looked_s + before.open_s, _MOST_OPEN * config.persistence_s))
     odds = float(np.clip(odds + told * looked_s / config.persistence_s, -asked, _HIGHEST * asked))
-    return replace(before, log_odds=odds, last_s=t_s, box_px=row.box_px, recent=recent, times_left=times_left)
+    return replace(before, log_odds=odds, last_s=t_s, box_px=row.box_px, open_s=0.0)
 
 
 def _asked(config: EventsConfig) -> float:
     """Log odds that a warning starts at; those of none at its end."""
     return float(logit(max(config.confidence, _LEAST_ASKED)))
-
-
-def _turns_away(one: WatchedObject, t_s: float, config: EventsConfig) -> bool:
-    """Whether an object on a bend surely misses us (a bus on a roundabout).
-
-    Under a transverse acceleration a the miss distance of the present velocity grows by a times the time left, per
-    second, and by half that rate times the time left until the closest approach. The rate and its standard deviation
-    come from a straight line through the miss distances of the persistence, along their present direction, with their
-    own scatter as noise. The time left is capped at the limit: a braking object is reached long before its time at
-    constant velocity.
-    """
-    times_s, tcpa_s, *off_widths = np.array(one.recent).T
-    off, ago_s = np.array(off_widths).T, times_s - t_s
-    miss_widths = off @ off[-1] / max(float(np.linalg.norm(off[-1])), _TINY)
-    then = np.array([1.0, 0.5 * min(tcpa_s[-1], config.max_ttc_s)])
-    return _lower_bound(ago_s, miss_widths, then, max(config.confidence, _EVEN)) > config.max_miss_widths
-
-
-def _stays_ahead(one: WatchedObject) -> bool:
-    """Whether the time that is left surely falls too slowly for an object to be reached (`_LEAST_FALL`).
-
-    By a straight line through the times of the last `_TREND_S`. A piece of roadside that is taken for one object stays
-    as far away as it is: new parts come as others pass.
-    """
-    times_s, tcpa_s = np.array(one.times_left).T
-    return _lower_bound(times_s - times_s[-1], tcpa_s, np.array([0.0, 1.0]), _SURELY) > -_LEAST_FALL
-
-
-def _lower_bound(ago_s: Floats, values: Floats, of_line: Floats, surely: float) -> float:
-    """Lower bound of a combination ``of_line (2,)`` of offset and slope of a line through values ``(N,)``.
-
-    By their own scatter, with the probability ``surely``; minus infinity with fewer than three values.
-    """
-    free = len(ago_s) - 2
-    if free < 1:
-        return -math.inf
-    columns = np.column_stack([np.ones(len(ago_s)), ago_s])
-    cov = np.linalg.inv(columns.T @ columns)
-    line = cov @ (columns.T @ values)
-    left = values - columns @ line
-    sigma = math.sqrt(float(of_line @ cov @ of_line) * float(left @ left) / free)
-    return float(of_line @ line) - float(stdtrit(free, surely)) * sigma
 
 
 def _common_part(one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> float:
