@@ -328,17 +328,6 @@ def test_on_the_road_what_stands_is_warned_of_where_a_road_is_found(motion_id, r
     assert is_course(row, on_ground=False, bend=bend)
 
 
-@pytest.mark.parametrize("road", [None, Road(np.array([0.0, 0.0, 10.0]))])
-@pytest.mark.parametrize("motion_id", [SCENE_MOTION, 1])
-def test_what_we_would_run_over_is_warned_of_where_a_road_is_found(motion_id, road):
-    """Where what drives with us is taken for the scene, road markings become a mover that comes at us."""
-    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road=road)
-    flat, upright = (standing(2.0, height_m, 1.2, 1.5 - 0.5 * height_m) for height_m in (0.4, 1.7))
-    flat, upright = (replace(row, motion_id=motion_id) for row in (flat, upright))
-    assert is_course(flat, on_ground=True, bend=bend) == (road is not None)
-    assert is_course(upright, on_ground=True, bend=bend) == (motion_id != SCENE_MOTION or road is not None)
-
-
 def test_on_the_road_nothing_that_stands_is_warned_of_before_it_is_known_how_we_drive():
     row = replace(row_of((0.0, 0.0, 20.0), (0.0, 0.0, -10.0), relative_sigma=0.005), motion_id=SCENE_MOTION)
     assert not is_course(row, on_ground=True, bend=None)

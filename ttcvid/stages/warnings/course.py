@@ -73,9 +73,8 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     if row.motion_state not in APPROACHING or not tcpa_s > 0.0:
         return Course(0.0)
     is_standing, is_road_found = row.motion_id == SCENE_MOTION, view.bend is not None and view.bend.road is not None
-    if view.on_ground and not is_road_found and (is_standing or _passes_below(row, abc_hz, view)):
-        # Without a road, a bridge or trees look like a wall ahead. Road markings look like what we would run
-        # over, and are movers where what drives with us is taken for the scene.
+    if view.on_ground and is_standing and not is_road_found:
+        # Without a road, a bridge or trees look like a wall ahead.
         return None
     *off_widths, sigma_widths = _miss_widths(row, abc_hz, cov, view).tolist()
     miss_widths, sigma_widths = math.hypot(*off_widths), max(sigma_widths, _TINY)
@@ -85,13 +84,6 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     in_time = float(ndtr(later_hz / max(math.sqrt(cov[2, 2]), _TINY)))
     is_soon = tcpa_s <= config.max_ttc_s
     return Course(approach_probability(abc_hz, cov) * hits * in_time, is_soon)
-
-
-def _passes_below(row: ClusterRow, abc_hz: Floats, view: Viewpoint) -> bool:
-    """Whether the top of an object passes below the camera, by its velocity ``abc_hz (3,)``."""
-    middle_px = np.array([(0.5 * (row.box_px[0] + row.box_px[2]), row.box_px[1])])
-    ray, way = rays_from_pixels(view.camera, middle_px)[0], abc_hz / np.linalg.norm(abc_hz)
-    return bool(ray[1] > way[1] * (way @ ray))
 
 
 def approach_probability(abc_hz: Floats | None, cov: Floats | None) -> float:
