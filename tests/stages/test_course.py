@@ -210,9 +210,10 @@ def low_part(offset_m, z_m=15.0):
     return replace(row, box_px=(x_px - half_px, y_px - low_px, x_px + half_px, y_px + low_px))
 
 
-def test_what_passes_below_the_camera_on_the_road_hits_our_car():
+@pytest.mark.parametrize("road", [None, Road(np.array([0.0, 0.0, 8.0 / 1.5]))])
+def test_what_passes_below_the_camera_on_the_road_hits_our_car(road):
     """Of somebody who walks onto the road only the legs may be told from the background; an aircraft passes below."""
-    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road=Road(np.array([0.0, 0.0, 8.0 / 1.5])))
+    bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road=road)
     assert is_course(low_part(0.0), on_ground=True, bend=bend)
     assert not is_course(low_part(0.0))
     assert not is_course(low_part(2.5), on_ground=True, bend=bend)

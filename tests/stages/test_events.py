@@ -7,7 +7,9 @@ import pytest
 from relative_motion import CAMERA
 from watched_rows import CONFIG, FRAME_S, HARMLESS, HIT, WIDTH_M, WITHOUT_STATE, drive, first_warned, row_of, watched
 
-from ttcvid.model import MotionState
+from ttcvid.model import SCENE_MOTION, MotionState
+from ttcvid.stages.segmentation.own_turn import OwnBend
+from ttcvid.stages.segmentation.road import Road
 from ttcvid.stages.warnings.course import Viewpoint
 from ttcvid.stages.warnings.events import EventMemory, update_events
 
@@ -127,8 +129,33 @@ def test_frames_in_which_it_is_open_where_a_thing_goes_say_nothing_by_themselves
     # Nor do two frames far apart.
     assert first_warned(watched([*hit[:2], *[is_open] * 8])[0]) is None
     assert first_warned(watched([hit[0], *[is_open] * 6, hit[7], *[is_open] * 6])[0]) is None
-    gathered = [*hit[:2], *[is_open] * 4, HARMLESS]
-    assert first_warned(watched([*gathered, *hit[7:]])[0]) == first_warned(watched([HARMLESS] * 7 + hit[7:])[0])
+
+
+@pytest.mark.parametrize("is_open", [UNKNOWN, WITHOUT_STATE], ids=["unknown", "no value"])
+def test_a_warning_ends_sooner_where_harmless_frames_speak_for_open_ones(is_open):
+    hit = drive(*HIT, 1.0)
+    active, _ = watched(hit + [is_open, HARMLESS] * 15)
+    assert sum(bool(events) for events in active[len(hit) :]) == 5
+
+
+def test_open_frames_before_a_thing_was_hidden_are_not_spoken_for():
+    hit = drive(*HIT, 2.5)
+    hidden = [*hit[:2], *[UNKNOWN] * 4, *[None] * 8, *hit[14:]]
+    assert first_warned(watched(hidden)[0]) == first_warned(watched([*hit[:2], *[None] * 12, *hit[14:]])[0])
+
+
+def test_frames_without_a_road_are_not_spoken_for():
+    """What stands is not known to be in our way there; where it goes is known."""
+    standing = [replace(row, motion_id=SCENE_MOTION) for row in drive(*HIT, 2.5)]
+    memory, n_events = EventMemory(), 0
+    for frame, row in enumerate(standing[:38]):
+        road = Road(np.array([0.0, 0.0, 10.0])) if frame % 4 == 0 else None
+        bend = OwnBend(heading=np.array([0.0, 0.0, 1.0]), turn_rad_s=0.0, road=road)
+        events, memory = update_events(
+            memory, frame, frame * FRAME_S, (row,), Viewpoint(CAMERA, on_ground=True, bend=bend), CONFIG
+        )
+        n_events += len(events)
+    assert n_events == 0
 
 
 @pytest.mark.parametrize("is_open", [UNKNOWN, WITHOUT_STATE], ids=["unknown", "no value"])

@@ -61,13 +61,19 @@ class Viewpoint:
     bend: OwnBend | None = None
 
 
+def has_course(row: ClusterRow) -> bool:
+    """Whether it is known where an object goes."""
+    is_known = row.state_abc_hz is not None and row.state_cov is not None
+    return is_known and row.motion_state != MotionState.unknown
+
+
 def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course | None:
-    """Whether an object is on collision course; None where that is open.
+    """Whether an object is on collision course; None where that is open, or no road tells whether it is in our way.
 
     The miss distance is judged in widths of the object: a fixed ``miss_s`` would mean 6 m at 20 m/s and 0.6 m at 2 m/s.
     """
     abc_hz, cov = row.state_abc_hz, row.state_cov
-    if abc_hz is None or cov is None or row.motion_state == MotionState.unknown:
+    if abc_hz is None or cov is None or not has_course(row):
         return None
     tcpa_s = float(row.times.tcpa_s[0])
     if row.motion_state not in APPROACHING or not tcpa_s > 0.0:

@@ -11,7 +11,7 @@ from scipy.special import expit, logit
 from ttcvid.config import EventsConfig
 from ttcvid.model import ClusterRow, Event, MotionState
 from ttcvid.stages.segmentation.bodies import ROUNDING_S
-from ttcvid.stages.warnings.course import Course, Viewpoint, approach_probability, course_of
+from ttcvid.stages.warnings.course import Course, Viewpoint, approach_probability, course_of, has_course
 
 # A hidden object, or one whose course is open, is still there: it is forgotten after this many times the persistence.
 _HIDDEN = 3.0
@@ -26,7 +26,8 @@ _LEAST_ASKED = 0.6
 _EVEN = 0.5
 # A step between frames this many times as long as the usual one is a gap.
 _STALLED = 1.5
-# A state rests on the views of the last frames, open ones too: it speaks for as much of them, in persistences.
+# A state rests on the views of the last frames, open ones too: it speaks for so much time, its own and theirs, in
+# persistences.
 _MOST_OPEN = 0.5
 # Log odds grow to this many times those that a warning asks for: what ends has to be told in time.
 _HIGHEST = 1.6
@@ -38,7 +39,7 @@ class WatchedObject:
 
     log_odds : of a collision course, by all frames so far.
     last_s : presentation time at which its course was known last.
-    open_s : how long since then it was seen without its course being known.
+    open_s : how long since then it was seen without it being known where it goes; less the time that it was hidden.
     box_px : its box at ``last_s``: left, top, right, bottom.
     event : its warning; None before it starts.
     """
@@ -95,7 +96,10 @@ def update_events(
         course = None if row is None else course_of(row, view, config)
         if row is None or course is None:
             if before is not None:
-                watched[cluster_id] = before if row is None else replace(before, open_s=before.open_s + looked_s)
+                is_open = row is not None and not has_course(row) and looked_s > 0.0
+                # Where it is hidden, views of the open frames leave the window of its next state.
+                open_s = before.open_s + looked_s if is_open else max(before.open_s - since_s, 0.0)
+                watched[cluster_id] = replace(before, open_s=open_s)
             continue
         if before is None:
             # It may be one that is lost, whose last box overlaps this one.
@@ -129,9 +133,10 @@ def _watched(
     changes = min(_CHANGES * at_first, _MOST_CHANGES) / config.persistence_s
     lasts = math.exp(changes * (before.last_s - t_s))
     odds = float(logit(at_first + lasts * (float(expit(before.log_odds)) - at_first)))
-    # However sure its frames are, a warning takes the persistence: their errors are common to neighbouring frames.
+    # However sure its frames are, a warning takes the persistence, open frames included: neighbouring ones err alike.
     told = float(np.clip(logit(course.probability), -2.0 * asked, 2.0 * asked))
-    looked_s = max(looked_s, min(looked_s + before.open_s, _MOST_OPEN * config.persistence_s))
+    if looked_s > 0.0:
+        looked_s = max(looked_s, min(looked_s + before.open_s, _MOST_OPEN * config.persistence_s))
     odds = float(np.clip(odds + told * looked_s / config.persistence_s, -asked, _HIGHEST * asked))
     return replace(before, log_odds=odds, last_s=t_s, box_px=row.box_px, open_s=0.0)
 
