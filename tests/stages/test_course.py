@@ -198,6 +198,7 @@ def test_what_comes_straight_on_or_turns_towards_us_is_warned_of_as_soon_as_with
 
 @pytest.mark.parametrize("seed", range(4))
 def test_whoever_asks_for_hardly_any_confidence_is_told_of_no_fewer(seed):
+    """Below even odds nothing would have to be gathered: a warning asks for more, whatever is configured."""
     config = CONFIG.model_copy(update={"confidence": 1e-6})
     assert first_warned(watched(bus_on_a_bend(0.0, 0.06, seed=seed), config)[0]) is not None
 

@@ -63,8 +63,8 @@ class Viewpoint:
 
 def has_course(row: ClusterRow) -> bool:
     """Whether it is known where an object goes."""
-    is_known = row.state_abc_hz is not None and row.state_cov is not None
-    return is_known and row.motion_state != MotionState.unknown
+    has_state = row.state_abc_hz is not None and row.state_cov is not None
+    return has_state and row.motion_state != MotionState.unknown
 
 
 def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course | None:
@@ -73,8 +73,10 @@ def course_of(row: ClusterRow, view: Viewpoint, config: EventsConfig) -> Course 
     The miss distance is judged in widths of the object: a fixed ``miss_s`` would mean 6 m at 20 m/s and 0.6 m at 2 m/s.
     """
     abc_hz, cov = row.state_abc_hz, row.state_cov
-    if abc_hz is None or cov is None or not has_course(row):
+    if not has_course(row):
         return None
+    assert abc_hz is not None
+    assert cov is not None
     tcpa_s = float(row.times.tcpa_s[0])
     if row.motion_state not in APPROACHING or not tcpa_s > 0.0:
         return Course(0.0)

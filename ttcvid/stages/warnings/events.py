@@ -26,7 +26,7 @@ _LEAST_ASKED = 0.6
 _EVEN = 0.5
 # A step between frames this many times as long as the usual one is a gap.
 _STALLED = 1.5
-# A state rests on the views of the last frames, open ones too: it speaks for so much time, its own and theirs, in
+# A state rests on the views of the last frames, open ones too: it speaks for so much time, its own included, in
 # persistences.
 _MOST_OPEN = 0.5
 # Log odds grow to this many times those that a warning asks for: what ends has to be told in time.
@@ -39,8 +39,8 @@ class WatchedObject:
 
     log_odds : of a collision course, by all frames so far.
     last_s : presentation time at which its course was known last.
-    open_s : how long since then it was seen without it being known where it goes; less the time that it was hidden.
     box_px : its box at ``last_s``: left, top, right, bottom.
+    open_s : time since then in which it was seen and its course was open, less that in which it was not.
     event : its warning; None before it starts.
     """
 
@@ -97,7 +97,7 @@ def update_events(
         if row is None or course is None:
             if before is not None:
                 is_open = row is not None and not has_course(row) and looked_s > 0.0
-                # Where it is hidden, views of the open frames leave the window of its next state.
+                # While it is not seen, the views of open frames leave the window of its next state.
                 open_s = before.open_s + looked_s if is_open else max(before.open_s - since_s, 0.0)
                 watched[cluster_id] = replace(before, open_s=open_s)
             continue
@@ -133,7 +133,8 @@ def _watched(
     changes = min(_CHANGES * at_first, _MOST_CHANGES) / config.persistence_s
     lasts = math.exp(changes * (before.last_s - t_s))
     odds = float(logit(at_first + lasts * (float(expit(before.log_odds)) - at_first)))
-    # However sure its frames are, a warning takes the persistence, open frames included: neighbouring ones err alike.
+    # However sure its frames are, a warning takes the persistence, open frames included: errors of neighbouring frames
+    # are correlated.
     told = float(np.clip(logit(course.probability), -2.0 * asked, 2.0 * asked))
     if looked_s > 0.0:
         looked_s = max(looked_s, min(looked_s + before.open_s, _MOST_OPEN * config.persistence_s))
