@@ -47,8 +47,6 @@ _LEAST_TRACKS = 4
 # Surfaces are searched around tracks within this angle (tangent) of our heading, and followed up to the second one;
 # at most so many.
 _LOOK, _FOLLOWED, _MOST_SURFACES = 0.1, 0.5, 6
-# Our turn rate is taken from views over at least this time, s.
-_LEAST_TURN_S = 0.3
 # What stands on the road reaches this part of the camera height below the camera; otherwise it is suspended.
 _BELOW_CAMERA = 0.15
 # Heights above the road, in camera heights: what ends below the first is driven over, what begins above the second is
@@ -120,9 +118,7 @@ def own_path(path: Floats, since_s: Floats) -> OwnPath | None:
     late, early = path[middle], path[0] - path[middle]
     if not (late[2] > 0.0 and early[2] > 0.0):
         return None
-    turn_hz = 0.0
-    if -since_s[0] >= _LEAST_TURN_S:
-        turn_hz = float((late[0] / late[2] - early[0] / early[2]) / (-0.5 * since_s[0]))
+    turn_hz = float((late[0] / late[2] - early[0] / early[2]) / (-0.5 * since_s[0]))
     length, aim = math.sqrt(late @ late), np.array([late[0] / late[2], path[0, 1] / path[0, 2]])
     took_s = float(-since_s[middle])
     return OwnPath(aim, turn_hz, length / took_s, float(late[2]) / length, 0.5 * took_s)
